@@ -63,7 +63,7 @@ class ActuatorGroup:
 
   @property
   def key(self) -> tuple[object, ...]:
-    """Groups that agree in this are one computation."""
+    """Key of fusion: groups of one key are one computation."""
     return (self.actuator_model, self.command_fields, tuple(self.settings.items()), self.parameter_names)
 
   @property
@@ -92,7 +92,7 @@ def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
 
 
 class Actuator(Stateful, ABC):
-  """Actuator model: from targets and measurements to ctrl, for all worlds and all its targets at once.
+  """Actuator model: computes ctrl of all its targets in all worlds from targets and measurements.
 
   Subclasses implement `compute` by the rules of the captured step: fixed memory, masks, no host reads. Their settings
   and parameters arrive as attributes of the same names; parameters are (1, n), or (num_envs, n) after `expand`.
@@ -102,7 +102,7 @@ class Actuator(Stateful, ABC):
   """True if `compute` reads `position` and `velocity`."""
 
   effort_limits: ClassVar[tuple[str, ...]] = ("effort_limit",)
-  """Parameters that bound the effort, those that the model has."""
+  """Parameters that bound the effort; a model may lack some of them."""
 
   delay: DelayBuffer | None
   """Memory of delayed targets; None without delay."""
@@ -162,7 +162,7 @@ class Actuator(Stateful, ABC):
       self.delay.fill(mask, self._stacked(cmd))
 
   def expand(self, name: str) -> torch.Tensor:
-    """Return the parameter `name` with one row per world, (num_envs, n), to be written in place from then on.
+    """Return the parameter `name` with one row per world, (num_envs, n), to be written in place.
 
     Call it before the step is recorded: the first call replaces the tensor.
 
@@ -177,7 +177,7 @@ class Actuator(Stateful, ABC):
     return getattr(self, name)
 
   def nominal(self, name: str) -> torch.Tensor:
-    """Return the configured value of the parameter `name`, (1, n), whatever was written since.
+    """Return the configured value of the parameter `name`, (1, n), which writes do not change.
 
     Raises:
       MjlabError: This actuator model has no such parameter.

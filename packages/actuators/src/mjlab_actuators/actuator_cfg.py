@@ -51,7 +51,7 @@ class ActuatorCfg(Config):
   Positions and velocities are those of the joint, the length of the tendon, or of the site along `site_gear`. The
   effort acts on the joint, along the tendon, or as a wrench at the site."""
   site_gear: Annotated[SiteGear | Mapping[str, SiteGear] | None, Limits()] = None
-  """For sites, required there: wrench of a unit effort, force x, y, z [1] then torque x, y, z [m], in the frame of the
+  """For sites, which need it: wrench of a unit effort, force x, y, z [1] then torque x, y, z [m], in the frame of the
   site, or of `refsite`. One for all, or by pattern."""
   refsite: str | None = None
   """For sites: name of the site that positions and velocities are relative to. Without it there is a velocity, but no
@@ -64,7 +64,7 @@ class ActuatorCfg(Config):
   """Linear passive damping written on joint or tendon [N s/m or N m s/rad]; None, or no match, keeps the MJCF's."""
   velocity_limit: EffortLimit = None
   """Top speed of joint, tendon or site [m/s or rad/s]; None, or no match, for no limit. Rewards and policy bundles read
-  it; the simulation does not limit speeds, except for models whose effort falls with speed."""
+  it; the simulation does not limit speeds, except for actuator models with a torque-speed line."""
   delay_min_lag: Count = 0
   """Least lag of the targets [substeps]."""
   delay_max_lag: Count = 0
@@ -121,7 +121,7 @@ class ActuatorCfg(Config):
     self.parameters(target_names)
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints, for subclasses to extend."""
+    """Yield problems of fields that keep their own constraints, for subclasses to extend."""
     is_site = self.transmission_type == "site"
     names = ("armature", "frictionloss", "viscous_damping") if is_site else ("site_gear", "refsite")
     yield from self._given(names, f"transmission_type is {self.transmission_type!r}")
@@ -203,7 +203,7 @@ class ActuatorCfg(Config):
   def _bare_elements(
     self, spec: mujoco.MjSpec, target_names: Sequence[str], *fields: str, gear: float = 1.0
   ) -> list[tuple[Any, ...]]:
-    """Add an actuator to each target, whose effort is `gear` times its force; return each with its `fields`."""
+    """Add an actuator with a gear to each target, and return each with its numbers of `fields`."""
     scalar = [(1.0, 0.0, 0.0, 0.0, 0.0, 0.0)] * len(target_names)
     directions = self._by_target("site_gear", target_names) if self.transmission_type == "site" else scalar
     out = []

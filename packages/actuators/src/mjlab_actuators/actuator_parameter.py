@@ -31,8 +31,8 @@ class ActuatorParameter:
   """One gain or limit of some targets, with a value per world.
 
   Scaling always starts from what was configured and compiled, so that repeating it never drifts. For an effort limit,
-  the limit that the MJCF puts on all actuators of a joint or tendon together is scaled too, for it would keep a raised
-  one from taking effect.
+  the limit that the MJCF puts on all actuators of a joint or tendon together is scaled too; otherwise a raised limit
+  would have no effect.
 
   Construction gives everything involved one row per world; `scale` then runs inside a captured step.
   """
@@ -108,12 +108,12 @@ class ActuatorParameter:
     self.scale(values / self.default, mask)
 
   def _flat(self, owner: Actuator | None, field: str) -> torch.Tensor:
-    # Asked for each time, for an expansion by somebody else may have replaced the array. A view, never a copy.
+    # Read at each call, because a later expansion may have replaced the array. A view, never a copy.
     return (getattr(self._sim.model, field) if owner is None else getattr(owner, field)).view(self._sim.num_envs, -1)
 
 
 class ActuatorDelay:
-  """Lags of the delayed actuator models of some targets, which worlds keep, through resets too, once they are written.
+  """Lags of the delayed actuator models of some targets. Worlds keep a written lag, through resets too.
 
   Targets of one actuator model and one delay setting share their delay, so patterns name all of them or none.
   """
@@ -135,8 +135,8 @@ class ActuatorDelay:
     """Find the delays of all targets of one transmission that a pattern matches as a whole.
 
     Raises:
-      UnknownNameError: a pattern matches nothing that is driven.
-      MjlabError: a target shares its delay with one that is not matched, or cannot have these lags [physics steps].
+      UnknownNameError: A pattern matches nothing that is driven.
+      MjlabError: A target shares its delay with one that is not matched, or cannot have these lags [physics steps].
     """
     targets, (lo, hi), owner = _matched(actuators, patterns, transmission), lag_range, actuators.owner
     driven = [(model, [column.target for column in model.group.columns]) for model in actuators.groups]

@@ -2,7 +2,7 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -92,9 +92,7 @@ class ActuatorSet(Stateful):
     """
     self.num_envs = num_envs
     targets, of_actuator = targets_of(model, prefix), targets_of_actuators(model, prefix)
-    # Elements that edit_spec added are behind the MJCF's own, which need no measurement.
-    last = {target: index for index, target in enumerate(of_actuator)}
-    groups = self._groups(model, targets, of_actuator, last, prefix)
+    groups = self._groups(model, targets, of_actuator, prefix)
     target_of: dict[int, Target] = {}
     for column in (column for group in groups for column in group.columns):
       if column.ctrl in target_of:
@@ -104,6 +102,8 @@ class ActuatorSet(Stateful):
     self._driven = set(target_of.values())
     self.targets = tuple(target for target in targets if target.transmission == "joint" or target in self._driven)
     self.ctrl_ids = tuple(sorted(target_of))
+    # The MJCF's own elements come first, and none of them needs a measurement.
+    last = {target: index for index, target in enumerate(of_actuator)}
     self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self.driven("site"))
     place = as_slice(self.ctrl_ids)
     self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
@@ -189,24 +189,20 @@ class ActuatorSet(Stateful):
       raise
 
   def _groups(
-    self,
-    model: mujoco.MjModel,
-    targets: Sequence[Target],
-    of_actuator: Sequence[Target | None],
-    last: Mapping[Target | None, int],
-    prefix: str,
+    self, model: mujoco.MjModel, targets: Sequence[Target], of_actuator: Sequence[Target | None], prefix: str
   ) -> list[ActuatorGroup]:
-    """Return the groups of all configs, for actuators with these targets, and the last actuator of each target."""
+    """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
     own: dict[Target, int] = {}
-    for cfg in self.cfgs:
-      for name in () if cfg.of_mjcf else self._match(cfg, targets, set()):
+    for cfg in [cfg for cfg in self.cfgs if not cfg.of_mjcf]:
+      for name in self._match(cfg, targets, set()):
         target, wanted = Target(cfg.transmission_type, name), prefix + name
-        found = last.get(target)
-        if found is None or model.actuator(found).name not in (wanted, f"{wanted}_{target.transmission}"):
+        names = (wanted, f"{wanted}_{target.transmission}")
+        found = [i for i, of in enumerate(of_actuator) if of == target and model.actuator(i).name in names]
+        if not found:
           raise MjlabError(
             f"{type(cfg).__name__}: the model has no actuator {wanted!r}; call edit_spec before it is compiled"
           )
-        own[target] = found
+        own[target] = found[0]
     # Wrapping everything must leave the added elements alone.
     of_mjcf: dict[Target | None, list[int]] = defaultdict(list)
     for index, target in enumerate(of_actuator):

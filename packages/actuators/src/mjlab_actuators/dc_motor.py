@@ -1,4 +1,4 @@
-"""PD behind a DC motor, whose effort falls with speed."""
+"""PD with the limits of a DC motor: the effort falls with speed."""
 
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -30,7 +30,7 @@ def clip_to_dc_motor(
 
   Beyond W the line changes its sign. Without `braking` the bound stops at zero there: the motor cannot drive the motion
   on, and nothing forces it to brake. With `braking` it goes on to -F, as in a drive that cannot switch its bridge off:
-  the back EMF then exceeds the supply and brakes, whatever is wanted.
+  the back EMF then exceeds the supply and brakes, for any wanted effort.
 
   Args:
     effort: Wanted effort, (num_envs, n) [N or N m].

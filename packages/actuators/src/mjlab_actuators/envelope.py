@@ -85,7 +85,7 @@ class EnvelopedPdActuatorCfg(PdActuatorCfg):
   actuator_model = EnvelopedPd
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints."""
+    """Yield problems of fields that keep their own constraints."""
     yield from super().problems(target_names)
     envelopes: list[TorqueSpeedEnvelope] = self._by_target("envelope", target_names)
     for target, (knee, no_load, motoring, braking) in zip(target_names, envelopes, strict=True):

@@ -98,13 +98,13 @@ class LearnedMlpActuatorCfg(ActuatorCfg):
   """A network that gives the effort of each joint from the recent past of its position error and velocity.
 
   Its history is sampled in every physics substep: the network must have been trained at that period, which is checked
-  where `sample_period` says it. Velocity and effort targets are not read.
+  if `sample_period` is given. Velocity and effort targets are not read.
   """
 
   network_file: str | Path
   """TorchScript archive, or plain state dict of linear layers; (m, 2 history_length) -> (m, 1)."""
   activation: Activation = "softsign"
-  """Between the layers of a state dict; a TorchScript archive knows its own."""
+  """Function between the layers of a state dict; a TorchScript archive has its own."""
   history_length: PositiveCount = 3
   """Samples of each, the present one included [substeps]."""
   sample_period: float | None = None
@@ -141,7 +141,7 @@ class LearnedMlpActuatorCfg(ActuatorCfg):
   )
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints, and with the network."""
+    """Yield problems of fields that keep their own constraints, and of the network."""
     yield from super().problems(target_names)
     for given, other in (("saturation_effort", "velocity_limit"), ("velocity_limit", "saturation_effort")):
       if getattr(self, other) is None:

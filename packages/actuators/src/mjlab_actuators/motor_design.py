@@ -12,7 +12,7 @@ from mjlab_core import MjlabError, NonNegative, Positive, check_value
 
 
 def radians_per_second(rpm: float) -> float:
-  """Return the angular speed of so many revolutions per minute, 2 pi / 60 of that [rad/s]; data sheets say rpm."""
+  """Return the angular speed of a number of revolutions per minute, the unit of data sheets: 2 pi / 60 rpm [rad/s]."""
   return 2.0 * math.pi / 60.0 * rpm
 
 

@@ -70,7 +70,7 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
   that of the surroundings."""
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints."""
+    """Yield problems of fields that keep their own constraints."""
     yield from super().problems(target_names)
     inputs, electrical = self.inputs, (self.torque_constant, self.resistance)
     if electrical.count(None) != (0 if self.nominal is None else 2):
@@ -100,7 +100,7 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
     bits = [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
     if self.inputs != "voltage":
       bits = [INPUTS[field] for field in self.inputs]
-    # A motor with a controller is written as it is felt at the joint, so that its inputs are the joint's.
+    # The constants of a motor with a controller are those at the joint, and so its inputs are those of the joint.
     turn = math.copysign(1.0, self.gear) if controlled else 1.0
     ratio = abs(self.gear) if controlled else 1.0
     constant = ratio * (self.torque_constant or 0.0)

@@ -46,7 +46,7 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
   """Clamp of the activation; None for none."""
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints."""
+    """Yield problems of fields that keep their own constraints."""
     yield from super().problems(target_names)
     for name in ("gain_prm", "bias_prm", "dyn_prm"):
       if len(getattr(self, name)) > 3:

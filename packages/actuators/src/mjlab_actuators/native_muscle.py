@@ -52,7 +52,7 @@ class NativeMuscleActuatorCfg(NativeActuatorCfg):
   command_fields: ClassVar[tuple[CommandField, ...]] = ("effort_target",)
 
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
-    """Yield what is wrong with fields that keep their own constraints."""
+    """Yield problems of fields that keep their own constraints."""
     yield from super().problems(target_names)
     if not self.lmin < self.lmax:
       yield f"lmin {self.lmin} must be below lmax {self.lmax}"

@@ -28,7 +28,7 @@ def load_network(
     path: A TorchScript archive, or a state dict saved by `torch.save` whose 2-D `*.weight` and 1-D `*.bias` entries are
       linear layers in order. The latter is read with `weights_only`, so that nothing in it is executed.
     num_inputs: Width that the network must have.
-    activation: Between the layers of a state dict; a TorchScript archive knows its own.
+    activation: Function between the layers of a state dict; a TorchScript archive has its own.
     device: Device of the network.
 
   Raises:
@@ -37,7 +37,7 @@ def load_network(
   with reading("network file", path) as file:
     if _is_torchscript(file):
       with warnings.catch_warnings():
-        # Torch advises against writing new archives; networks of this kind have long been written.
+        # Torch advises against new archives, but many networks are stored in them.
         warnings.filterwarnings("ignore", message=".*torch.jit.load", category=FutureWarning)
         network = torch.jit.load(str(file), map_location=device)
     else:

@@ -66,7 +66,7 @@ def range_of(spec: mujoco.MjSpec, target: Target) -> tuple[float, float]:
   element = spec.joint(target.name) if target.transmission == "joint" else spec.tendon(target.name)
   if element.limited == mujoco.mjtLimited.mjLIMITED_FALSE:
     return 0.0, 0.0
-  # A spec holds what the file says; the compiler turns degrees into radians later, in joints but not in actuators.
+  # A spec has the numbers of the file; the compiler turns degrees into radians later, in joints but not in actuators.
   in_degrees = isinstance(element, mujoco.MjsJoint) and element.type == mujoco.mjtJoint.mjJNT_HINGE
   unit = math.pi / 180.0 if spec.compiler.degree and in_degrees else 1.0
   return float(element.range[0]) * unit, float(element.range[1]) * unit

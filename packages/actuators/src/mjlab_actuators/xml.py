@@ -1,4 +1,4 @@
-"""Actuators that the MJCF declares itself, kept exactly as they are written."""
+"""Actuators that the MJCF declares, kept exactly as they are written."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ from mjlab_actuators.native_dc_motor import INPUTS
 
 @dataclass(kw_only=True)
 class XmlActuatorCfg(ActuatorCfg):
-  """Drive of the actuators that the MJCF declares on joints, tendons or sites; it adds and changes nothing on them.
+  """Actuators that the MJCF declares on joints, tendons or sites; nothing on them is added or changed.
 
   Targets are those of the joint or tendon: ctrl of an actuator with a gear is the position or velocity target times the
   gear, or the effort target over it. Which target an actuator takes is read from its gain, bias and dynamics. Patterns
   match names of joints (tendons, sites) that have an actuator in the MJCF; every actuator of such a target is driven.
-  The MJCF says where the wrench of a site points.
+  The MJCF defines the direction of the wrench of a site.
   """
 
   command_field: CommandField | None = None
@@ -44,7 +44,7 @@ class XmlActuatorCfg(ActuatorCfg):
     fields = (self.command_field,) if self.command_field is not None else command_fields_of(model, element)
     if len(fields) != width:
       raise MjlabError(
-        f"XmlActuatorCfg: cannot tell which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
+        f"XmlActuatorCfg: unknown which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
         f"recognised: {', '.join(fields) or 'none'}); set command_field, or leave the actuator out"
       )
     return [(field,) for field in fields]

@@ -1,4 +1,4 @@
-"""Targets of an entity's joints, tendons and sites, and their way through actuator models into `ctrl`."""
+"""Targets of an entity's joints, tendons and sites, and their path through actuator models into `ctrl`."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Actuation(Stateful):
   Each tensor of targets has the columns of all joints, then of all tendons, then of all sites.
 
   Args:
-    actuators: Actuator models, built here; None if nothing is driven.
+    actuators: Actuator models, built here; None without actuators.
     sim: The simulation.
     indexing: Places of the entity's elements.
-    initial: Start of the entity, to which targets are reset.
-    prefix: What precedes the entity's names in the model.
+    initial: State that targets are reset to.
+    prefix: Prefix of the entity's names in the model.
     rng: Source of randomness for delays, on the simulation's device.
   """
 
@@ -72,7 +72,7 @@ class Actuation(Stateful):
     self.position.copy_(self._default)
 
   def _build(self, actuators: ActuatorSet, indexing: EntityIndexing, prefix: str, rng: torch.Generator | None) -> None:
-    """Build the actuator models, and find what they read: hinges and slides, then the tendons and sites they drive."""
+    """Build the actuator models, and find their inputs: hinges and slides, then the tendons and sites they drive."""
     sim, names = self._sim, indexing.names
     actuators.build(
       sim.mj_model,
@@ -88,7 +88,7 @@ class Actuation(Stateful):
     self._drives_others = len(joints) < len(targets)
 
     def index(of_joint: Sequence[range], chosen: Sequence[Target]) -> Index:
-      """Return the columns of targets where joints have these columns, and tendons and sites follow."""
+      """Return the columns of targets, if joints have the columns `of_joint` and tendons and sites follow."""
       others = [Target(kind, name) for kind in ("tendon", "site") for name in names[kind]]
       columns = {of: start for start, of in enumerate(others, sum(map(len, of_joint)))}
       columns |= {Target("joint", name): own[0] for name, own in zip(names["joint"], of_joint, strict=True)}
@@ -101,7 +101,7 @@ class Actuation(Stateful):
     self._outputs = as_index(actuators.site_outputs, sim.device)
     views = isinstance(self._q_targets, slice) and isinstance(self._v_targets, slice)
     self._target_views = self._gather_targets() if views else None
-    # Servos inside MuJoCo: the same targets always give the same controls.
+    # For servos inside MuJoCo, the same targets always give the same controls.
     self._holds = not actuators.needs_feedback and all(model.delay is None for model in actuators.groups)
 
   def reset(self, mask: torch.Tensor) -> None:
@@ -115,12 +115,12 @@ class Actuation(Stateful):
     self._written.clear()
 
   def write_ctrl(self) -> None:
-    """Turn targets into controls; to be called exactly once before each substep."""
+    """Turn targets into controls. Call it exactly once before each substep."""
     if self.actuators is None:
       return
     if self._holds:
-      # Within a decimation there is nothing to write twice. The first substep of a recording writes whatever was
-      # written before it, because each replay starts from new targets.
+      # Within a decimation nothing is written twice. The first substep of a recording always writes, because each
+      # replay starts from new targets.
       version = self.position._version + self.velocity._version + self.effort._version
       written = [version, self._sim.is_capturing]
       if written == self._written:

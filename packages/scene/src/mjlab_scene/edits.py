@@ -30,7 +30,7 @@ Mode = Literal["fixed", "track", "trackcom", "targetbody", "targetbodycom"]
 
 @dataclass(kw_only=True)
 class SpecEdit(Config):
-  """Base of edits of a model. Fields that are None leave what the model says, or MuJoCo's default in a new element.
+  """Base of edits of a model. Fields that are None keep the value of the model, or MuJoCo's default in a new element.
 
   Names are those of the model that is edited: of the entity alone in `EntityCfg.edits`, with the entity's prefix in
   `SceneCfg.edits`.
@@ -125,10 +125,10 @@ class MeshCfg(SpecEdit):
   names: str | tuple[str, ...] = ".*"
   """Patterns; each must match a mesh."""
   maxhullvert: Literal[-1] | Annotated[int, Limits(ge=4)] | None = None
-  """Most vertices of the convex hull that collides; -1 for no limit, else at least 4."""
+  """Maximum number of vertices of the convex hull that collides; -1 for no limit, else at least 4."""
   scale: Annotated[tuple[float, float, float], Limits(nonzero=True)] | None = None
   inertia: Literal["convex", "exact", "legacy", "shell"] | None = None
-  """Way to compute the inertia of bodies that have none."""
+  """Method of computing the inertia of bodies without one."""
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
     for mesh in _matched(spec.meshes, self.names, "mesh", owner):
@@ -137,14 +137,14 @@ class MeshCfg(SpecEdit):
 
 @dataclass(kw_only=True)
 class GeomCfg(SpecEdit):
-  """Change of the looks of geoms; contact parameters are those of `CollisionCfg`."""
+  """Change of the looks of geoms; `CollisionCfg` sets contact parameters."""
 
   names: str | tuple[str, ...]
   """Patterns; each must match a geom."""
   group: Annotated[int, Limits(ge=0, le=5)] | None = None
   rgba: ColorWithAlpha | None = None
   material: str | None = None
-  """Name of a material; it brings its own colour unless `rgba` is given."""
+  """Name of a material, which brings its colour unless `rgba` is given."""
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
     if self.material is not None:
@@ -164,10 +164,10 @@ class _Mounted(SpecEdit):
 
   name: str
   body: str | None = None
-  """Body that carries a new one; None for the world."""
+  """Body of a new light or camera; None for the world."""
   mode: Mode | None = None
   target: str | None = None
-  """Body to look at, in the modes that have one."""
+  """Body to look at, in modes that have a target."""
   pos: Vector | None = None
   """In the frame of the body [m]."""
 

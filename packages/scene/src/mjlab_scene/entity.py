@@ -77,35 +77,34 @@ class EntityCfg(Config):
   """
 
   spec_fn: Callable[[], mujoco.MjSpec]
-  """Returns a new spec each time it is called; the entity edits it."""
+  """Function that returns a new spec at each call; the entity edits it."""
   init_state: InitialStateCfg = field(default_factory=InitialStateCfg)
   articulation: EntityArticulationCfg | None = None
-  """None: nothing is actuated by mjlab; actuators in the model keep the controls that the user writes."""
+  """Actuators and joint limits; None: actuators in the model keep the controls that the user writes."""
   edits: tuple[SpecEdit, ...] = ()
   """Changes and additions of textures, materials, meshes, lights and cameras; see `mjlab_scene.edits`."""
   collisions: tuple[CollisionCfg, ...] = ()
-  """Contact presets; together they say which geoms collide."""
+  """Contact presets; together they define which geoms collide."""
   overlay: str | None = None
-  """File of identified values, which take the place of those above; see `mjlab_scene.overlay`."""
+  """File of identified values, which replace those above; see `mjlab_scene.overlay`."""
 
   def build(self, name: str) -> Entity:
-    """Return the entity that this describes, under `name`."""
+    """Return the entity of this config, under `name`."""
     return Entity(self, name)
 
 
 class Entity(EntitySpec, Stateful):
   """A robot, an object or a fixture: fixed, floating or mocap base, with or without joints.
 
-  Built from its configuration it is only a spec. `attach` puts it into a scene, `initialize` ties it to the simulation
-  of that scene; from then on `data` can be read and the `write_*` and `set_*` methods used.
+  A new entity is only a spec. `attach` puts it into a scene, and `initialize` ties it to the simulation of that scene.
+  Then `data` can be read, and the `write_*` and `set_*` methods can be used.
 
   Values that are written have one row per world, or a single row for all worlds, in any floating-point type. `mask`,
   bool (num_envs,), selects the worlds to write; None writes all. `*_ids` select elements; None selects all. Derived
   quantities follow on the next read, without a call to forward.
 
   Raises:
-    MjlabError: Anything wrong in the configuration, by name. A written value has the wrong shape, or the entity has
-      nothing of the kind to write.
+    MjlabError: The configuration has a mistake, a written value has the wrong shape, or the entity has no such element.
   """
 
   data: EntityData
@@ -142,7 +141,7 @@ class Entity(EntitySpec, Stateful):
 
     Args:
       sim: The simulation of the scene that the entity is attached to.
-      prefix: What precedes its names in the model; None for the entity's own prefix.
+      prefix: Prefix of its names in the model; None for the entity's own prefix.
       rng: Source of randomness, on the simulation's device, for delays.
     """
     self.prefix = self.prefix if prefix is None else prefix
@@ -165,7 +164,7 @@ class Entity(EntitySpec, Stateful):
 
   @property
   def wide_joints(self) -> tuple[str, ...]:
-    """Joints of several columns, ball joints: beside one, ids of joints are not columns of `data.joint_pos`."""
+    """Ball joints, which have several columns, so that ids of joints are not columns of `data.joint_pos`."""
     ix = self.indexing
     return tuple(name for name, columns in zip(ix.names["joint"], ix.q_of_joint, strict=True) if len(columns) > 1)
 
@@ -180,13 +179,9 @@ class Entity(EntitySpec, Stateful):
   def reset(self, mask: torch.Tensor) -> None:
     """Reset targets of masked worlds (num_envs,) to the default pose at rest, and fill delays with them.
 
-    The state itself is left to the caller.
+    The state itself does not change.
     """
     self.actuation.reset(mask)
-
-  def write_ctrl(self) -> None:
-    """Turn targets into controls; to be called exactly once before each substep."""
-    self.actuation.write_ctrl()
 
   def write_default_root_state(self, origins: torch.Tensor | None = None, mask: Mask = None) -> None:
     """Put the root of masked worlds into the initial state, moved by `origins`, (num_envs, 3) [m]."""
@@ -219,7 +214,7 @@ class Entity(EntitySpec, Stateful):
   def write_root_pose(self, pose: torch.Tensor, mask: Mask = None) -> None:
     """Set position [m] and orientation of the root link, world frame, (num_envs, 7); the quaternion is normalised.
 
-    That of a base that does not float is the pose of its mocap body.
+    A base that does not float has the pose of its mocap body.
     """
     pose = self._checked("write_root_pose", pose, 7)
     if self.is_floating:
@@ -275,7 +270,7 @@ class Entity(EntitySpec, Stateful):
   # Targets
 
   def target_view(self, kind: Transmission, quantity: Quantity, ids: Selection = None) -> ColumnView:
-    """Return a view through which targets are written: resolve ids once at build, then `write` in every step.
+    """Return a view that writes targets: resolve ids once at build, then `write` in every step.
 
     Args:
       kind: "joint", "tendon" or "site".
@@ -326,7 +321,7 @@ class Entity(EntitySpec, Stateful):
   def set_ctrl(self, ctrl: torch.Tensor, mask: Mask = None) -> None:
     """Set the controls of all actuators of the entity, (num_envs, num_ctrl), in the model's order.
 
-    For actuators without an actuator config; those with one are written again in the next substep.
+    For actuators without a config; controls of configured actuators are written again in the next substep.
     """
     self._write("set_ctrl", ctrl, mask)
 

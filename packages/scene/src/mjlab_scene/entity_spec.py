@@ -17,7 +17,7 @@ FREE_JOINT = "floating_base_joint"
 """Name given to an unnamed free joint."""
 
 MOCAP_BASE = "mocap_base"
-"""Body that the scene puts above a fixed base, to place it per world."""
+"""Body that the scene puts above a fixed base to place it in each world."""
 
 Found = tuple[list[int], list[str]]
 
@@ -42,9 +42,9 @@ class EntitySpec:
     name: Name in the scene.
     spec: The entity alone; it is edited.
     init_state: State that the entity is reset to.
-    edits: Edits of looks, lights and cameras.
+    edits: Changes of looks, lights and cameras.
     collisions: Contact presets.
-    actuators: Drives joints, tendons and sites; None leaves actuators of the spec to the user.
+    actuators: Actuators of joints, tendons and sites; None leaves those of the spec to the user.
 
   Raises:
     MjlabError: Anything wrong in the arguments; the message names it.
@@ -97,7 +97,7 @@ class EntitySpec:
     self.is_mocap = root is not None and not self.is_floating
     """True if the model itself makes the root a mocap body."""
     self.root_body_name: str = MOCAP_BASE if root is None else root.name
-    """Name of the body that `root_*` quantities and writes are about."""
+    """Name of the body that `root_*` quantities and writes refer to."""
     apply_edits(spec, edits, self.owner)
     apply_collisions(spec, collisions, self.owner)
     if actuators is not None:
@@ -135,7 +135,7 @@ class EntitySpec:
 
   @property
   def is_fixed_base(self) -> bool:
-    """True if the base does not float; it is then a mocap body, its own or the scene's."""
+    """True if the base does not float; it is then a mocap body of the model or of the scene."""
     return not self.is_floating
 
   @property
@@ -147,31 +147,6 @@ class EntitySpec:
   def is_actuated(self) -> bool:
     """True if actuators are configured to drive its joints, tendons or sites."""
     return self.actuators is not None
-
-  @property
-  def num_bodies(self) -> int:
-    """Number of bodies, the scene's mocap base included."""
-    return len(self.body_names)
-
-  @property
-  def num_joints(self) -> int:
-    """Number of joints, the free one left out."""
-    return len(self.joint_names)
-
-  @property
-  def num_geoms(self) -> int:
-    """Number of geoms."""
-    return len(self.geom_names)
-
-  @property
-  def num_sites(self) -> int:
-    """Number of sites."""
-    return len(self.site_names)
-
-  @property
-  def num_actuators(self) -> int:
-    """Number of actuators in the model."""
-    return len(self.actuator_names)
 
   find_bodies = _finder("body")
   find_joints = _finder("joint")
@@ -203,7 +178,7 @@ def _find_root(spec: mujoco.MjSpec, owner: str) -> mujoco.MjsBody | None:
   if len(floating) > 1:
     names = ", ".join(f"'{body.name}'" for body in floating)
     raise MjlabError(
-      f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make several entities of them"
+      f"{owner}: an entity has at most one free joint, and bodies {names} have one each; make them separate entities"
     )
   return next((body for body in (*floating, *top) if _floats(body) or body.mocap), None)
 

@@ -19,11 +19,11 @@ def write_spec(spec: mujoco.MjSpec, folder: Path) -> Path:
     for number, part in enumerate((*spec.meshes, *spec.hfields, *spec.textures, *spec.skins)):
       source = Path(part.file)
       if part.file and part.file not in assets:
-        # Files of one name may come from several folders.
+        # Files of several folders may have the same name.
         part.file = f"{number}_{safe_name(source.name)}"
         assets[part.file] = source.read_bytes()
       elif part.file and (inside := _inside(part.file)) != part.file:
-        # The name is a stranger's, and may lead out of the folder.
+        # The name comes from a model file, and may lead out of the folder.
         name = part.file
         part.file = f"{number}_{safe_name(inside)}"
         assets[part.file] = assets[name]
@@ -35,7 +35,7 @@ def write_spec(spec: mujoco.MjSpec, folder: Path) -> Path:
       target = made / name
       target.parent.mkdir(parents=True, exist_ok=True)
       target.write_bytes(content if isinstance(content, bytes) else content.encode())
-    # A file that cannot be opened again is not handed out.
+    # Refuse to write a model that cannot be opened again.
     mujoco.MjModel.from_xml_path(str(made / "scene.xml"))
   return folder / "scene.xml"
 

@@ -63,9 +63,9 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
 
   Args:
     model: Compiled model of the scene.
-    prefix: What precedes the entity's names in the model.
+    prefix: Prefix of the entity's names in the model.
     root: Full name of the entity's root body.
-    device: Where index tensors live.
+    device: Device of index tensors.
   """
   found = {kind: find_elements(model, kind, prefix) for kind in KINDS}
   names = {kind: tuple(of_kind.values()) for kind, of_kind in found.items()}
@@ -246,12 +246,12 @@ def _chosen_ids(selection: Selection, count: int, owner: str) -> list[int]:
 
 
 def _selection_key(selection: Selection) -> tuple[object, ...]:
-  """Return what identifies a selection as it is now; the values of a CUDA tensor are not read again."""
+  """Return the key of a selection with its present values; those of a CUDA tensor are not read."""
   if isinstance(selection, slice):
     return (selection.start, selection.stop, selection.step)
   if isinstance(selection, torch.Tensor) and selection.is_cuda:
     return ("cuda", id(selection))
   if selection is None:
     return ()
-  # As text, True is not 1.
+  # In text, True differs from 1.
   return (repr(selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)),)

@@ -20,8 +20,8 @@ _FREE = mujoco.mjtJoint.mjJNT_FREE
 class InitialStateCfg(Config):
   """The state an entity is reset to, relative to the origin of its world.
 
-  Patterns are matched as a whole against names; a pattern that matches nothing is an error. A joint that no pattern
-  names keeps the model's reference position (zero unless the model says otherwise) and zero velocity.
+  Patterns match whole names; a pattern that matches nothing is an error. A joint that no pattern
+  matches keeps the model's reference position, zero by default, and zero velocity.
   """
 
   pos: tuple[Finite, Finite, Finite] | None = None
@@ -43,7 +43,7 @@ class InitialStateCfg(Config):
 
 @dataclass(frozen=True, kw_only=True)
 class InitialState:
-  """State that an entity starts in, by local name, so that it does not depend on what else is in the scene."""
+  """State that an entity starts in, by local name, so that it does not depend on the rest of the scene."""
 
   root: str
   """Name of the root body."""
@@ -123,7 +123,7 @@ def _compiled(spec: mujoco.MjSpec, with_key: bool, owner: str) -> tuple[mujoco.M
     alone.delete(key)
   ctrl: list[float] = []
   for key in alone.keys:
-    # The keyframe of a model does not know the actuators that configs add.
+    # The keyframe of a model lacks the actuators that configs add.
     ctrl, key.ctrl, key.act = list(key.ctrl), [], []
   try:
     model = alone.compile()
@@ -166,7 +166,7 @@ def _check_limits(model: mujoco.MjModel, positions: Mapping[str, np.ndarray], ow
 def _place_root(
   model: mujoco.MjModel, data: mujoco.MjData, cfg: InitialStateCfg, body: int, owner: str
 ) -> tuple[np.ndarray, np.ndarray]:
-  """Put the root body where `cfg` says, and return its pose and its velocity; body 0 stands for a fixed base."""
+  """Place the root body as `cfg` says, and return its pose and its velocity; body 0 stands for a fixed base."""
   mujoco.mj_kinematics(model, data)
   pose, velocity = np.concatenate((data.xpos[body], data.xquat[body])), np.zeros(6)
   free = data.joint(model.body_jntadr[body]) if model.body_jntnum[body] else None

@@ -2,7 +2,7 @@
 
 A JSON object with the keys `model` (values by field of MjModel, then by element; that of options is "option"),
 `actuators` (values of `stiffness`, `damping` and `effort_limit` by joint), `delay` [s] and `encoder_bias` [rad or m] by
-joint, and `timestep` [s], in whose steps delays act. Other keys are ignored.
+joint, and `timestep` [s], the step of delays. Other keys are ignored.
 `Identified.save` of mjlab-sysid writes it.
 """
 
@@ -122,7 +122,7 @@ class Overlay:
 
     Args:
       actuators: The configs.
-      spec: The robot, whose joints the configs name.
+      spec: The robot.
 
     Raises:
       MjlabError: No config drives a joint, or it has no such gain.
@@ -195,7 +195,7 @@ def compiled_values(model: Any, name: str, element: str) -> np.ndarray:
 
 
 def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: Any) -> None:
-  """Write compiled values into an element of a spec, whose other attributes must not override them."""
+  """Write compiled values into an element of a spec so that its other attributes do not override them."""
   has: Any = getattr(before, kind)(found.name) if kind != "option" else None
   if kind == "body" and attribute in ("mass", "inertia", "ipos", "iquat"):
     if not found.explicitinertial:
@@ -214,7 +214,7 @@ def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: An
   if is_angle and found.compiler.degree:
     numbers = [math.degrees(value) for value in numbers]
   if attribute == "data" and found.type == mujoco.mjtEq.mjEQ_WELD and not any(found.data[6:10]):
-    # The compiler derives the pose of a weld that none was given for, and notes so in the last number.
+    # The compiler derives the pose of a weld without one, and notes this in the last number.
     numbers = [*numbers[:3], *found.data[3:10], *numbers[10:11], *found.data[11:]]
   if attribute.endswith("poly"):
     getattr(found, attribute.removesuffix("poly"))[1:] = numbers

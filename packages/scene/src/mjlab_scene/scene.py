@@ -66,9 +66,9 @@ class SceneCfg(Config):
   entities: dict[str, EntityCfg] = field(default_factory=dict)
   """Entities by name; their elements are called "<name>/..." in the scene."""
   sensors: dict[str, SensorCfg] = field(default_factory=dict)
-  """Sensors by name, beside those that the entities' models bring."""
+  """Sensors by name, in addition to those of the entities' models."""
   extent: Positive | None = None
-  """Size of the part that a viewer shows at first [m]; None lets MuJoCo find it."""
+  """Size of the region that a viewer shows at first [m]; None lets MuJoCo compute it."""
   edits: tuple[SpecEdit, ...] = ()
   """Changes and additions of textures, materials, meshes, lights and cameras, after all parts are in."""
   spec_fn: Callable[[mujoco.MjSpec], None] | None = None
@@ -78,18 +78,18 @@ class SceneCfg(Config):
 class Scene(Stateful):
   """Everything in the worlds of one simulation.
 
-  Built from its configuration it is a spec; `initialize` ties it to the simulation of that spec. `scene["robot"]` is an
-  entity, a sensor or, under "terrain", the terrain. Sensors that an entity's model brings are read as
+  A new scene is a spec; `initialize` ties it to the simulation of that spec. `scene["robot"]` is an
+  entity, a sensor or, under "terrain", the terrain. Sensors in the model of an entity are read as
   `scene["robot/imu_gyro"]` unless a configured sensor claims them.
 
   Args:
     cfg: What the worlds contain.
-    decimation: Physics steps of one environment step, for sensors that follow it; None where there is no such thing.
+    decimation: Physics steps of one environment step, for sensors that need it; None without an environment.
     problems: List that receives one line per mistake in the terrain, an entity or a sensor; the scene is then made of
       the others. None raises the first.
 
   Raises:
-    MjlabError: anything wrong in the configuration, by name.
+    MjlabError: The configuration has a mistake; the message names it.
   """
 
   env_origins: torch.Tensor
@@ -98,7 +98,7 @@ class Scene(Stateful):
   def __init__(self, cfg: SceneCfg, decimation: int | None = None, *, problems: list[str] | None = None) -> None:
     check_fields(cfg, "scene")
     self._problems, self.missing = problems, set[str]()
-    """Names of what has a mistake and is left out."""
+    """Names of the parts that have a mistake and are left out."""
     self.cfg = cfg
     self.num_envs = cfg.num_envs
     self.spec = new_scene_spec()
@@ -145,7 +145,7 @@ class Scene(Stateful):
     sensors: dict[str, Sensor[Any]] = {}
     for name, cfg in self.cfg.sensors.items():
       if name in found and getattr(cfg, "element", None) != name:
-        raise MjlabError(f"scene: sensor '{name}' exists already: an entity's model brings it; choose another name")
+        raise MjlabError(f"scene: sensor '{name}' exists already in an entity's model; choose another name")
       with self._part(name):
         sensors[name] = cfg.build(name)
     for name in found:
@@ -159,13 +159,13 @@ class Scene(Stateful):
 
   @contextmanager
   def _part(self, name: str, parts: dict[str, Any] | None = None) -> Generator[None]:
-    """Note the mistake of a part where mistakes are collected, and take the part out of `parts`."""
+    """Note the mistake of a part if mistakes are collected, and remove the part from `parts`."""
     try:
       yield
     except ValueError as error:
       if self._problems is None:
         raise
-      # A sensor on an entity that is left out cannot be right.
+      # A sensor of an entity with a mistake has a mistake too.
       if not any(f"'{other}" in str(error) for other in self.missing):
         self._problems.append(str(error))
       self.missing.add(name)
@@ -215,14 +215,14 @@ class Scene(Stateful):
       actuation.write_ctrl()
 
   def update(self, dt: float) -> None:
-    """Let the sensors take note of the substep just done, of `dt` [s]."""
+    """Update the sensors after a substep of `dt` [s]."""
     for sensor in self.sensors.values():
       sensor.update(dt)
 
   def reset(self, mask: torch.Tensor) -> None:
-    """Forget the past of masked worlds (num_envs,): targets, delays, sensors. After the simulation's own reset.
+    """Reset targets, delays and sensors of masked worlds (num_envs,). Call it after the reset of the simulation.
 
-    Bases that do not float go to their place in each world. The rest of the state is left to the caller.
+    Bases that do not float are placed in each world. The rest of the state does not change.
     """
     for entity in self.entities.values():
       entity.reset(mask)
@@ -231,7 +231,7 @@ class Scene(Stateful):
       sensor.reset(mask)
 
   def place_fixed_bases(self, mask: torch.Tensor) -> None:
-    """Put bases that do not float to their place in masked worlds (num_envs,), whose origins may have moved."""
+    """Place bases that do not float in masked worlds (num_envs,), whose origins may have moved."""
     for entity in self.entities.values():
       if not entity.is_floating:
         entity.write_default_root_state(self.env_origins, mask)

@@ -29,7 +29,7 @@ def new_scene_spec() -> mujoco.MjSpec:
   visual.rgba.force[:] = (0.85, 0.20, 0.15, 1.0)
   visual.map.force = 0.005
   visual.map.haze = 0.25
-  # Where shadows end, ground that is slanted to the light is speckled: out of sight.
+  # Ground that is slanted to the light is speckled where shadows end, so they end out of sight.
   visual.map.shadowclip = 4.0
   visual.map.znear = 0.01
   visual.scale.forcewidth = 0.06
@@ -42,7 +42,7 @@ def new_scene_spec() -> mujoco.MjSpec:
   visual.global_.elevation = -22
   visual.global_.offwidth = 1920
   visual.global_.offheight = 1080
-  # One mean size for all scenes: marks of forces and contacts keep their size whatever the entities are.
+  # All scenes have one mean size, so that marks of forces and contacts have the same size for all entities.
   spec.stat.meansize = 0.03
   spec.add_texture(
     name="sky",

@@ -1,7 +1,7 @@
 """One spec for all variants of an entity: the union of their bodies, with the numbers of each variant beside it.
 
 A body, a joint or a site belongs to all variants that have one of its name. A variant that lacks a body is simulated
-with a body of no mass there, whose joint rests. Rigid objects are one body, "object".
+with a body without mass, and the joint of that body rests. Rigid objects are one body, "object".
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ FIELDS = (*_BODY, *_JOINT, *_DOF, *_QPOS, *_SITE)
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
 _NO_LIMIT = (-1e9, 1e9)
-# A joint that a variant lacks moves nothing, and holds its place against whatever its actuator does.
+# A joint that a variant lacks moves nothing, and resists its actuator.
 _REST = {"dof_armature": 1.0, "dof_damping": 1e3, "dof_frictionloss": 0.0, "jnt_stiffness": 1e4}
-# What the configs of actuators write on a joint is the same in all variants.
+# Fields that configs of actuators write are the same in all variants.
 _CONFIGURED = ("dof_armature", "dof_damping", "dof_frictionloss")
 
 
@@ -46,7 +46,7 @@ def numbers_of(
   Args:
     alone: The variant, compiled alone; None for an absent object.
     model: Compiled model of the scene.
-    prefix: What precedes the entity's names in the model.
+    prefix: Prefix of the entity's names in the model.
     rest: Positions by joint, where joints that the variant lacks stay.
   """
   out = {name: np.array(getattr(model, name), dtype=np.float64) for name in FIELDS}
@@ -141,7 +141,7 @@ def merge_variants(
     for body in spec.bodies[1:]:
       if body.geoms or body.cameras or body.lights:
         _add_parts(merged, spec, body.name, name, f"{name}/" if is_rigid else f"{name}/{body.name}/")
-  # Bodies without joints become part of the one above: those that were just attached, and nothing else.
+  # This fuses the bodies that were just attached into those above; dummy joints protect the others.
   merged.fuse_static()
   for dummy in dummies:
     merged.delete(merged.joint(dummy))
@@ -228,7 +228,7 @@ def _add_joint(body: mujoco.MjsBody, name: str, alone: mujoco.MjModel) -> None:
   if joint.type == _FREE:
     return
   joint.pos, joint.axis = twin.pos, twin.axis
-  # Limits of all worlds are on: those of a variant without one are out of reach.
+  # All worlds have limits; those of a variant without limits are out of reach.
   joint.limited, joint.range = mujoco.mjtLimited.mjLIMITED_TRUE, list(_NO_LIMIT)
   if alone.jnt_actfrclimited[twin.id]:
     joint.actfrclimited, joint.actfrcrange = mujoco.mjtLimited.mjLIMITED_TRUE, alone.jnt_actfrcrange[twin.id]

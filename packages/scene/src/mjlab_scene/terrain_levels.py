@@ -19,7 +19,7 @@ class TerrainLevels(Stateful):
     rng: Source of randomness on the device of `env_origins`.
 
   Raises:
-    MjlabError: `max_init_level` is not a row.
+    MjlabError: `max_init_level` is not a row of the terrain.
   """
 
   def __init__(
@@ -31,7 +31,7 @@ class TerrainLevels(Stateful):
     check_value("scene: max_init_terrain_level", highest, Annotated[int, Limits(ge=0, le=self.num_rows - 1)])
     device = env_origins.device
     self.column_types = tuple(terrain.type_names[kind] for kind in terrain.tile_types[0])
-    """Type of each column's first tile, which in a curriculum is that of the whole column."""
+    """Type of the first tile of each column; in a curriculum, all tiles of a column have it."""
     self.tile_size = terrain.tile_size
     """Extent of a tile along x and y [m]."""
     self._rng = rng
@@ -44,7 +44,7 @@ class TerrainLevels(Stateful):
     self._place(torch.ones(self.num_envs, dtype=torch.bool, device=device))
 
   def move(self, mask: torch.Tensor, up: torch.Tensor, down: torch.Tensor) -> None:
-    """Take masked worlds one row up or down, bool (num_envs,) each; above the hardest they draw any row."""
+    """Move masked worlds one row up or down, bool (num_envs,) each; above the hardest row they draw any row."""
     moved = self.levels + up.long() - down.long()
     anywhere = self._draw(self.num_rows)
     moved = torch.where(moved >= self.num_rows, anywhere, moved.clamp(min=0))
