@@ -67,6 +67,15 @@ def test_a_term_that_asks_for_indices_runs_eagerly_and_may_return_a_number(env, 
   assert env.eager == ["curriculum 'p'"] * 2
 
 
+def test_a_term_that_asks_for_indices_may_return_a_dict_of_numbers(env, logged):
+  def progress(env: Any, env_ids: torch.Tensor) -> dict[str, float]:
+    return {"count": len(env_ids), "share": len(env_ids) / env.num_envs}
+
+  manager = CurriculumManager({"p": CurriculumTermCfg(progress)}, env)
+  manager.compute(env.mask(0, 3))
+  assert logged(manager) == {"Curriculum/p/count": 2.0, "Curriculum/p/share": 0.5}
+
+
 def test_a_number_returned_inside_the_step_is_an_error(env):
   with pytest.raises(ConfigError, match=r"must return None, a 0-d tensor or a dict of them, returned float 1.0"):
     CurriculumManager({"c": CurriculumTermCfg(lambda env, mask: 1.0)}, env)

@@ -1,11 +1,12 @@
 """The observation pipeline: noise, clip, scale, NaN policy, delay, history, concatenate."""
 
+import copy
 from typing import Any
 
 import pytest
 import torch
 from mjlab_core.buffers import HistoryBuffer
-from mjlab_core.errors import ConfigError, DivergedError
+from mjlab_core.errors import ConfigError, DivergedError, MjlabError
 from mjlab_managers import (
   ConstantNoiseCfg,
   GaussianNoiseCfg,
@@ -423,6 +424,23 @@ class TestEvaluation:
     live.scale = 3.0
     manager.sync()
     torch.testing.assert_close(seen(manager), 3.0 * env.values[:, :2])
+
+  def test_configs_of_built_terms_are_read_only_except_for_live_fields(self, env):
+    manager = one(env, noise=UniformNoiseCfg(), history_length=2)
+    group, term = manager.get_term_cfg("g"), manager.get_term_cfg("g", "t")
+    for change in (
+      lambda: setattr(term, "history_length", 3),
+      lambda: setattr(term.noise, "n_min", 0.0),
+      lambda: term.params.update(columns=3),
+      lambda: group.terms.clear(),
+    ):
+      with pytest.raises(MjlabError, match=r"ObservationManager: .*'g"):
+        change()
+    term.scale, group.corrupt = 2.0, False
+    manager.sync()
+    assert torch.equal(seen(manager)[:, 2:], env.values[:, :2] * 2)
+    copied = copy.deepcopy(term)
+    copied.history_length, copied.params["columns"] = 3, 3
 
   def test_a_term_without_a_component_axis_is_an_error_at_build(self, env):
     group = ObservationGroupCfg(terms={"t": ObservationTermCfg(lambda env: env.values[:, 0])})

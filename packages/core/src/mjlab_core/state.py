@@ -101,10 +101,6 @@ class Stateful:
       _register(self, registry or _registry(self), name, value)
     object.__setattr__(self, name, value)
 
-  def children(self) -> Mapping[str, Stateful]:
-    """Return the children by attribute name."""
-    return _registry(self).children
-
   def undeclared(self, path: str = "self") -> dict[str, Tensor]:
     """Return the tensors, in attributes here and in children, that no object declared as state, by dotted name."""
     registry = _registry(self)

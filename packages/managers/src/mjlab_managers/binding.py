@@ -47,8 +47,8 @@ class Term:
     self.name, self.owner, self.cfg, self._env = name, owner, cfg, env
     self._kind: Any = cfg.func if isinstance(cfg.func, type) else None
     self._signature = Signature(cfg.func, 2 if masked and self._kind is None else 1)
-    called = self._signature if self._kind is None else Signature(self._kind.__call__, 2)
-    self.wants_ids = masked and "env_ids" in called.leading
+    leading = self._signature.leading if self._kind is None else _names(self._kind.__call__)
+    self.wants_ids = masked and "env_ids" in leading
     self.worlds = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
     """Worlds to act on, for terms that take indices outside the recorded step, bool (num_envs,)."""
     # Terms with indices run outside the recorded step, where Python numbers serve. A function gets scalars once a trial
