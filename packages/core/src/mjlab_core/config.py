@@ -154,6 +154,12 @@ def lock(value: Any, advice: str, live: frozenset[str] = frozenset()) -> Any:
   return twin
 
 
+def write_locked(cfg: Config, **fields: Any) -> None:
+  """Write fields of a read-only config, for its owner."""
+  advice, _ = vars(cfg)["_lock"]
+  vars(cfg).update({name: lock(value, advice) for name, value in fields.items()})
+
+
 def _problem(cls: type, name: str, known: tuple[str, ...]) -> str:
   for base in cls.__mro__:
     if (new := FORMER_FIELDS.get(base.__name__, {}).get(name)) is not None:

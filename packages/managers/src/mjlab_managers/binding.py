@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 from mjlab_core import ConfigError, MjlabError, check_name, field_problems, require
-from mjlab_core.config import lock
+from mjlab_core.config import write_locked
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.parameters import Signature, is_number
@@ -178,9 +178,7 @@ class Term:
   def _show(self, given: dict[str, Any]) -> None:
     """Keep the present parameters, and show them in the config."""
     self.given = given
-    way = f"change its parameters by set_params('{self.name}', name=value)"
-    vars(self.cfg)["params"] = lock(dict(given), f"{self.owner}: term '{self.name}' is built; {way}.")
-    vars(self.cfg)["func"] = self.func
+    write_locked(self.cfg, params=dict(given), func=self.func)
 
 
 def call_terms(terms: Sequence[Term]) -> list[torch.Tensor]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from mjlab_core import Limits, NonNegativeRange, PositiveCount, Range, as_slice, check_fields, where_
+from mjlab_core import ConfigError, Limits, NonNegativeRange, PositiveCount, Range, as_slice, check_fields, where_
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
@@ -66,17 +66,13 @@ class CameraNoise(NoiseModel):
 
   def __init__(self, cfg: CameraNoiseCfg, shape: tuple[int, ...], env: ManagerEnv) -> None:
     super().__init__(cfg, env)
-    if len(shape) != 3:
-      raise ValueError(f"CameraNoiseCfg: needs images (channels, height, width), not {shape}.")
     check_fields(cfg, "CameraNoiseCfg")
     bounds = {name: getattr(cfg, name) for name in _RANGES}
-    self._color, self._lost = _neighbours("color", cfg.color, shape[0]), _neighbours("lost", cfg.lost, shape[0])
-    self._depth = _neighbours("depth", () if cfg.depth is None else (cfg.depth,), shape[0])
     self._active = {name for name, bound in bounds.items() if tuple(bound) != _IDLE.get(name, (0.0, 0.0))}
-    for name in sorted(self._active):
-      channels = "color" if name in _RANGES[:4] else "depth"
-      if getattr(self, f"_{channels}") is None:
-        raise ValueError(f"CameraNoiseCfg: {name} needs {channels}, which names no channel.")
+    channels = {"color": cfg.color, "depth": () if cfg.depth is None else (cfg.depth,), "lost": cfg.lost}
+    if problem := _channel_problem(channels, self._active, shape):
+      raise ConfigError(f"CameraNoiseCfg: {problem}")
+    self._color, self._depth, self._lost = (as_slice(ids) if ids else None for ids in channels.values())
     self._hole_size = cfg.hole_size
     self._bounds = torch.tensor([list(bounds.values())], device=env.device).unbind(-1)
     self._drawn = self.state((len(_RANGES),))
@@ -130,11 +126,16 @@ class CameraNoise(NoiseModel):
     return torch.randn(like.shape, generator=self.rng, device=like.device)
 
 
-def _neighbours(name: str, channels: Sequence[int], count: int) -> slice | None:
-  """Return the slice that selects channels as a view, or None for no channels."""
-  if not channels:
-    return None
-  found = as_slice(channels)
-  if found is None or not 0 <= found.start < found.stop <= count:
-    raise ValueError(f"CameraNoiseCfg: {name}: channels must be neighbours from 0..{count - 1}, got {tuple(channels)}.")
-  return found
+def _channel_problem(channels: Mapping[str, Sequence[int]], active: set[str], shape: tuple[int, ...]) -> str:
+  """Return the reason why channels do not fit an image, or the active ranges; empty if they do."""
+  if len(shape) != 3:
+    return f"needs images (channels, height, width), not {shape}."
+  for name, ids in channels.items():
+    found = as_slice(ids)
+    if found is None or not 0 <= found.start <= found.stop <= shape[0]:
+      return f"{name}: channels must be neighbours from 0..{shape[0] - 1}, got {tuple(ids)}."
+  for name in sorted(active):
+    needed = "color" if name in _RANGES[:4] else "depth"
+    if not channels[needed]:
+      return f"{name} needs {needed}, which names no channel."
+  return ""

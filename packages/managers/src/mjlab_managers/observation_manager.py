@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import torch
 from mjlab_core import ConfigError, MjlabError, Stateful, check_name, where_
-from mjlab_core.config import lock
+from mjlab_core.config import write_locked
 from mjlab_core.tables import table
 
 from mjlab_managers.binding import Term, cfg_problems, same
@@ -113,8 +113,7 @@ class ObservationManager(ManagerBase[Any]):
     self._by_group = {name: [slot for slot in slots if slot.group == name] for name in self._groups}
     for name, group in self._groups.items():
       members = self._by_group[name]
-      terms = {slot.name: slot.cfg for slot in members}
-      vars(group)["terms"] = lock(terms, f"{self.label}: the terms of group '{name}' are fixed at build.")
+      write_locked(group, terms={slot.name: slot.cfg for slot in members})
       self._problems += [
         f"term '{slot.path}': shape {slot.shape} cannot be concatenated; flatten it, or set concatenate_terms=False on "
         f"group '{name}'."
