@@ -55,7 +55,8 @@ class _Ring(Stateful):
     slot = self._tick % self.length
     self._frames[self._worlds, slot] = where_(self._frames[self._worlds, slot], mask, x)
 
-  def _write(self, x: Tensor) -> None:
+  def append(self, x: Tensor) -> None:
+    """Add the newest frame, (num_envs, *shape); the oldest is dropped."""
     self._tick.add_(1)
     self._frames[self._worlds, self._tick % self.length] = x.to(self.dtype)
 
@@ -85,10 +86,6 @@ class HistoryBuffer(_Ring):
   ) -> None:
     super().__init__(length, num_envs, shape, device, dtype)
     self._ages = torch.arange(length - 1, -1, -1, device=device)
-
-  def append(self, x: Tensor) -> None:
-    """Add the newest frame, (num_envs, *shape); the oldest is dropped."""
-    self._write(x)
 
   def read(self) -> Tensor:
     """Return the window, oldest first, (num_envs, length, *shape), in new memory.
@@ -161,11 +158,11 @@ class DelayBuffer(_Ring):
   def push(self, x: Tensor) -> Tensor:
     """Add a frame, (num_envs, *shape), and return the delayed one, of that shape; `x` itself if max_lag is 0."""
     if self.max_lag == 0:
-      self._write(x)
+      self.append(x)
       return x.to(self.dtype)
     if self._varies:
       self._advance_lags()
-    self._write(x)
+    self.append(x)
     return self._at(torch.maximum(self._tick - self._lag, self._born))
 
   def reset(self, mask: Tensor) -> None:

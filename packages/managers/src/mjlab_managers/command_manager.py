@@ -232,9 +232,9 @@ class CommandManager(ManagerBase[CommandTermCfg]):
 
   def load_progress(self, state: Mapping[str, Any]) -> None:
     """Load the parts of a `state_dict` that do not depend on the number of worlds, term by term."""
-    for name, term in self._terms.items():
-      if name in state.get("_stateful_terms", {}):
-        term.load_progress(state["_stateful_terms"][name])
+    for name, saved in state.get("_stateful_terms", {}).items():
+      if name in self._terms:
+        self._terms[name].load_progress(saved)
 
   def clear_log(self) -> None:
     self._log.clear()

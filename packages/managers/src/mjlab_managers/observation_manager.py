@@ -94,7 +94,8 @@ class ObservationManager(ManagerBase[Any]):
     width, out_shape = math.prod(shape), shape
     if history > 0:
       out_shape = (history * width,) if flatten else (history, *shape)
-    frame, out = next(((slot.frame.stop, slot.out.stop) for slot in reversed(self._slots.values())), (0, 0))
+    earlier = self._slots.values()
+    frame, out = sum(slot.width for slot in earlier), sum(math.prod(slot.shape) for slot in earlier)
     return Slot(
       group=group,
       name=name,

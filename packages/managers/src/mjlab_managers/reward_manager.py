@@ -62,18 +62,10 @@ class RewardManager(VectorManager[RewardTermCfg]):
     self._idle = torch.zeros(self.num_envs, device=self.device)
     self._names = self.active_terms
     self._lay_out("reward")
-    self._shown = self._weighted = torch.zeros_like(self._values)
-    self._episode_sums = self.state((len(self._terms),))
-
-  @property
-  def step_reward(self) -> torch.Tensor:
+    self._shown = self.step_reward = torch.zeros_like(self._values)
     """Value times weight of each term in the last step, (N, R), not scaled by the step time."""
-    return self._weighted
-
-  @property
-  def episode_sums(self) -> torch.Tensor:
+    self.episode_sums = self.state((len(self._terms),))
     """Sum of the contribution of each term over the running episode, (N, R)."""
-    return self._episode_sums
 
   def weight(self, name: str) -> torch.Tensor:
     """Return the weight of a term on the device, 0-d, that curricula may write inside the step.
@@ -91,9 +83,9 @@ class RewardManager(VectorManager[RewardTermCfg]):
       return self.reward
     values = iter(self.evaluate(list(compress(self._terms.values(), self._active))))
     finite = self._put([next(values) if active else self._idle for active in self._active])
-    torch.mul(finite, self._weights, out=self._weighted)
-    self._episode_sums.add_(self._weighted, alpha=self._scale)
-    torch.sum(self._weighted, dim=1, out=self.reward)
+    torch.mul(finite, self._weights, out=self.step_reward)
+    self.episode_sums.add_(self.step_reward, alpha=self._scale)
+    torch.sum(self.step_reward, dim=1, out=self.reward)
     if self.scale_by_dt:
       self.reward.mul_(self._scale)
     return self.reward
@@ -103,8 +95,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
     if not self._terms:
       return
     # An episode without a step has no statistics.
-    self._log.add(self._episode_sums, mask & (self.env.episode_length_buf > 0))
-    fill_(self._episode_sums, mask, 0.0)
+    self._log.add(self.episode_sums, mask & (self.env.episode_length_buf > 0))
+    fill_(self.episode_sums, mask, 0.0)
     super().reset(mask)
 
   def sync(self) -> None:
