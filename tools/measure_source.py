@@ -135,6 +135,7 @@ def _only_validates(statement: ast.stmt) -> bool:
     return False
   gives = any(isinstance(node, ast.Return) and node.value is not None for node in nodes)
   gives |= any(isinstance(node, ast.Yield | ast.YieldFrom | ast.AugAssign | ast.With) for node in nodes)
+  gives |= any(isinstance(node, ast.Call) and ast.unparse(node.func) == "setattr" for node in nodes)
   targets = [target for node in nodes if isinstance(node, ast.Assign) for target in node.targets]
   return not gives and all(isinstance(target, ast.Name | ast.Tuple) for target in targets)
 

@@ -105,9 +105,11 @@ class Overlay:
       count = compiled_values(before, name, element).size
       check_value(f"{self.source}: {name}", numbers, Annotated[list[float], Items(ge=count, le=count)])
       _set(spec.option if kind == "option" else getattr(spec, kind)(element), kind, attribute, numbers, before)
-    after = spec.copy().compile()
+    self._check_compiled(spec.copy().compile(), given)
+
+  def _check_compiled(self, model: mujoco.MjModel, given: Sequence[tuple[str, str, list[float]]]) -> None:
     for name, element, numbers in given:
-      has = compiled_values(after, name, element)
+      has = compiled_values(model, name, element)
       sign = np.sign(has @ numbers) if name.endswith("quat") else 1.0
       if not np.allclose(sign * has, numbers, rtol=1e-6, atol=1e-9):
         raise MjlabError(
