@@ -30,6 +30,7 @@ class Recorded:
     self._eager_calls = 0
 
   def __call__(self) -> None:
+    """Run the function, record it, or replay its graph."""
     if self._stream is None:
       self._function()
     elif self._graph is not None:
