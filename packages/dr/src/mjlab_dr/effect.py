@@ -11,9 +11,8 @@ import mujoco
 import numpy as np
 
 from mjlab_dr.catalogue import FIELDS, needs_constants
-from mjlab_dr.fields import rows
+from mjlab_dr.fields import element_names, rows
 
-_SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _NO_COLOR = (0.5, 0.5, 0.5, 1.0)
 _CONDIM = {"geom_friction": (3, 4, 6), "pair_friction": (3, 3, 4, 6, 6)}
 _BY_PRIORITY = {"geom_friction", "geom_solref", "geom_solimp", "geom_solmix"}
@@ -94,16 +93,16 @@ def _element_reason(model: mujoco.MjModel, name: str, i: int) -> str:
     body = int(model.jnt_bodyid[i])
     # The matrix of a single degree of freedom is its diagonal.
     if model.body_simple[body] and model.body_dofnum[body] > 1:
-      return f"moves body {model.body(body).name!r}, which was {SIMPLE}"
+      return f"moves body {element_names(model, 'body')[body]!r}, which was {SIMPLE}"
   if name == "opt.wind" and not (model.opt.density or model.opt.viscosity):
     return "needs a density or a viscosity of the medium"
-  if name in ("qpos0", "qpos_spring", "encoder_bias") and model.jnt_type[i] not in _SCALAR_JOINTS:
+  if name in ("qpos0", "qpos_spring", "encoder_bias") and model.jnt_type[i] < int(mujoco.mjtJoint.mjJNT_SLIDE):
     return "has more than one coordinate"
   if name in _INERTIAL and not (model.body_mass[i] and model.body_weldid[i]):
     return "never moves" if model.body_mass[i] else "has no mass"
   if name in ("body_pos", "body_quat") and model.body_mocapid[i] >= 0:
     return _reason(name)
-  if name == "actuator_kp" and not _is_servo(model, i):
+  if name == "actuator_kp" and not model.actuator_gainprm[i, 0] == -model.actuator_biasprm[i, 1] != 0.0:
     return "is no position actuator"
   if name == "actuator_delay" and model.actuator_historyadr[i] < 0:
     return "was compiled without a delay"
@@ -161,12 +160,6 @@ def _touched(model: mujoco.MjModel, i: int) -> np.ndarray:
   fits = (model.geom_contype & model.geom_conaffinity[i]) | (model.geom_contype[i] & model.geom_conaffinity)
   welded = model.body_weldid[model.geom_bodyid]
   return np.flatnonzero((fits != 0) & (welded != welded[i]))
-
-
-def _is_servo(model: mujoco.MjModel, i: int) -> bool:
-  is_servo = int(model.actuator_gaintype[i]) == int(mujoco.mjtGain.mjGAIN_FIXED)
-  is_servo &= int(model.actuator_biastype[i]) == int(mujoco.mjtBias.mjBIAS_AFFINE)
-  return is_servo and bool(model.actuator_gainprm[i, 0] == -model.actuator_biasprm[i, 1] != 0.0)
 
 
 Place = tuple[int, int]

@@ -73,8 +73,7 @@ def _camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
 
 def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None) -> TermSource:
   def compute(depth: torch.Tensor) -> torch.Tensor:
-    miss = max_depth if miss_value is None else miss_value
-    return torch.where(depth < 0.0, miss, depth.clamp(max=max_depth))
+    return _without_misses(depth, max_depth, miss_value)
 
   camera: CameraSensor = env.scene[sensor]
   reading = image_of(camera, "depth", lambda: _drawn(env, sensor, "depth"))
@@ -211,8 +210,11 @@ def camera_depth(
 
   Depths above `max_depth` read `max_depth`. Pixels that see nothing read `miss_value`, by default `max_depth`.
   """
-  depth = _drawn(env, sensor, "depth")
-  return depth.clamp(max=max_depth).masked_fill_(depth < 0.0, max_depth if miss_value is None else miss_value)
+  return _without_misses(_drawn(env, sensor, "depth"), max_depth, miss_value)
+
+
+def _without_misses(depth: torch.Tensor, max_depth: float, miss_value: float | None) -> torch.Tensor:
+  return torch.where(depth < 0.0, max_depth if miss_value is None else miss_value, depth.clamp(max=max_depth))
 
 
 def _drawn(env: "ManagerBasedRlEnv", sensor: str, kind: str) -> torch.Tensor:
