@@ -173,13 +173,11 @@ def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
     for what, values in report.changed.items():
       differs = "differs between worlds" if (values != values[:1]).any() else "same in all worlds"
       rows.append((*lead, what, str(values.shape[1]), _given(report.params), *_span(values), differs))
-      lead = ("", "")
     for axis in report.axes:
       more = f" and {len(axis.elements) - 1} more" if len(axis.elements) > 1 else ""
       rows.append(
         (*lead, axis.field, axis.elements[0] + more, f"{axis.operation} {axis.asked}", *_span(axis.drawn), axis.verdict)
       )
-      lead = ("", "")
   lines = [table(head, rows)]
   for name, masses in inertia.masses.items():
     compiled, mass = masses[0], masses[1:]

@@ -54,11 +54,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     print(f"mjlab {version('mjlab')}")
     return 0
-  if words[0] not in _COMMANDS:
-    from mjlab_core import unknown
-
-    print(f"error: {unknown('command', words[0], list(_COMMANDS))}", file=sys.stderr)
-    return 2
   return _run(words[0], words[1:])
 
 
@@ -84,21 +79,19 @@ def __getattr__(name: str) -> Callable[..., int]:
 
 
 def _run(name: str, words: list[str]) -> int:
-  # Most of what a start makes stays, and Python would search it for garbage 700 times.
-  gc.set_threshold(50_000)
-  return _guarded(importlib.import_module(f"mjlab.cli._{name.replace('-', '_')}").run, words)
-
-
-def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
   """Run a command. A user's mistake becomes a message; other errors also print a traceback."""
   from mjlab_core import ConfigError, MjlabError, UsageError, printable
+  from mjlab_core.names import check_name
 
+  # Most of what a start makes stays, and Python would search it for garbage 700 times.
+  gc.set_threshold(50_000)
   if isinstance(sys.stdout, io.TextIOWrapper):
     # A name with letters that the terminal cannot show must not end the command.
     sys.stdout.reconfigure(errors="backslashreplace")
   try:
     with _interruptible():
-      return command(words)
+      module = check_name("command", name, _COMMANDS).replace("-", "_")
+      return importlib.import_module(f"mjlab.cli._{module}").run(words)
   except KeyboardInterrupt:
     print("interrupted", file=sys.stderr)
     return 130
@@ -107,7 +100,8 @@ def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return 0
   except Exception as error:
-    is_expected = isinstance(error, MjlabError | OSError) or _is_out_of_memory(error)
+    is_out_of_memory = _is_out_of_memory(error)
+    is_expected = isinstance(error, MjlabError | OSError) or is_out_of_memory
     if not is_expected or ("--traceback" in words and not isinstance(error, UsageError)):
       import traceback
 
@@ -115,7 +109,7 @@ def _guarded(command: Callable[[list[str]], int], words: list[str]) -> int:
     # Names from files are part of messages; only a list of problems has several lines.
     lines = str(error).splitlines() if isinstance(error, ConfigError) else [str(error)]
     message = "\n".join(printable(line, _LONGEST) for line in lines)
-    if _is_out_of_memory(error):
+    if is_out_of_memory:
       message = f"not enough memory; use fewer environments: {(message.splitlines() or [''])[0]}"
     print(f"error: {message}", file=sys.stderr)
     return 2 if _is_wrong_line(error, words) else 1

@@ -13,8 +13,6 @@ from mjlab_motions import Kinematics, Motion
 from mjlab_scene import EntityCfg, Scene, SceneCfg
 from mjlab_terrain import PlaneCfg
 
-from mjlab.cli._watching import browse
-
 if TYPE_CHECKING:
   from mjlab_viewer import OffscreenRenderer, Replay
 
@@ -58,15 +56,3 @@ class Preview:
     every = math.ceil(motion.rate / MOST_FRAMES)
     frames = len(range(0, motion.num_frames, every))
     self.replay(motion).film(path, renderer, every=every, on_frame=lambda frame: show(frame / frames))
-
-  def browse(self, motion: Motion, *, host: str, port: int) -> None:
-    """Play a clip in a browser, again and again, until Ctrl-C.
-
-    Raises:
-      MjlabError: The address or port is not available.
-    """
-    from mjlab_viewer import Playback, ZeroPolicy
-
-    replay = self.replay(motion)
-    playback = Playback(replay, ZeroPolicy(1, 0, replay.sim.device))
-    browse(playback, host=host, port=port, label=motion.name)

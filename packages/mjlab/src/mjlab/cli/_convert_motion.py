@@ -13,6 +13,7 @@ from mjlab_core.names import check_name
 
 from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
 from mjlab.cli._progress import ProgressBar
+from mjlab.cli._watching import browse_replay
 
 if TYPE_CHECKING:
   import mujoco
@@ -118,7 +119,7 @@ def run(wanted: Arguments, clips: list[str]) -> int:
         print(f"filmed {film}")
       print()
   if wanted.preview:
-    preview.browse(motions[0], host=wanted.host, port=wanted.port)
+    browse_replay(preview.replay(motions[0]), host=wanted.host, port=wanted.port, label=motions[0].name)
   return int(has_errors)
 
 

@@ -75,11 +75,12 @@ def run(wanted: Arguments, sources: list[str]) -> int:
     # Named first if it cannot be exported, before anything is recorded.
     writer = BundleWriter(env, parts.agent, name)
     golden = record(env, parts.agent, policy.network, policy, wanted.steps) if wanted.steps else None
+    measured = checkpoint.parent / "evaluation" / checkpoint.stem / "evaluation.json"
     description = writer.write(
       folder,
       policy.network,
       training=_training(checkpoint, parts),
-      evaluation=_evaluation(checkpoint),
+      evaluation=json.loads(measured.read_text(encoding="utf-8"))["groups"] if measured.is_file() else {},
       golden=golden,
       picture=_picture(env),
     )
@@ -108,14 +109,10 @@ def _training(checkpoint: Path, parts: Any) -> dict[str, Any]:
   from mjlab_rl.trained_policy import read_trained_policy
 
   found = read_trained_policy(checkpoint).record
-  summary: dict[str, Any] = {} if found is None else {"iterations": found.iterations, "sha256": found.sha256}
-  names = ("seed", "created", "git")
-  return {"checkpoint": checkpoint.name, **summary, **{name: getattr(parts, name, None) for name in names}}
-
-
-def _evaluation(checkpoint: Path) -> dict[str, Any]:
-  path = checkpoint.parent / "evaluation" / checkpoint.stem / "evaluation.json"
-  return json.loads(path.read_text(encoding="utf-8"))["groups"] if path.is_file() else {}
+  facts: dict[str, Any] = {name: getattr(parts, name, None) for name in ("seed", "created", "git")}
+  if found is not None:
+    facts |= {"iterations": found.iterations, "sha256": found.sha256}
+  return {"checkpoint": checkpoint.name, **facts}
 
 
 def _picture(env: Any) -> bytes | None:

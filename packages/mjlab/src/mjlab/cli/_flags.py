@@ -95,7 +95,7 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
   known = {flag.name: flag for flag in flags(config)}
   switched_off = {flag.negative: flag for flag in known.values() if flag.kind is bool}
   given: dict[str, Any] = {}
-  for word, values in _grouped(words):
+  for word, values in grouped(words):
     name, equals, value = word.removeprefix("--").partition("=")
     name = name.replace("_", "-")
     flag = known.get(name) or switched_off.get(name)
@@ -224,7 +224,7 @@ def _tuple_of(*kinds: Any) -> Any:
   return types.GenericAlias(tuple, kinds)
 
 
-def _grouped(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+def grouped(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
   """Yield each flag with the words that follow it."""
   if words and not words[0].startswith("--"):
     raise UsageError(f"'{words[0]}': not a flag")

@@ -41,12 +41,11 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   """Inspect one task; return 1 if a draw does nothing, or not what was requested."""
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
   from mjlab import environments
-  from mjlab.cli._flags import replaced
   from mjlab.inspection import inspect_events, inspect_inertia, report_text
 
   device = environments.resolve_device(wanted.device)
-  cfg = replaced(replaced(wanted.env, ("scene", "num_envs"), wanted.num_envs), ("seed",), wanted.seed)
-  with built_env(line.task, cfg, device) as env:
+  wanted.env.scene.num_envs, wanted.env.seed = wanted.num_envs, wanted.seed
+  with built_env(line.task, wanted.env, device) as env:
     reports = inspect_events(env)
     inertia = inspect_inertia(env)
     print(f"{line.name}: {env.num_envs} environments on {device}, one draw each")

@@ -98,18 +98,14 @@ def _gpus(wanted: str, device: str) -> list[str]:
   import torch
 
   count = 0 if device == "cpu" else torch.cuda.device_count()
-  if wanted == "all":
-    numbers = list(range(count or 1))
-  elif wanted.isdecimal():
-    numbers = list(range(int(wanted)))
-  else:
-    parts = [part for part in wanted.split(",") if part]
-    if not all(part.isdecimal() for part in parts) or len(set(parts)) != len(parts):
-      raise UsageError(f"--gpus {wanted}: give all, a number of GPUs, or a list of their numbers such as 0,1")
-    numbers = [int(part) for part in parts]
-  if not numbers or (device != "cpu" and max(numbers) >= count):
+  numbers = [part for part in wanted.split(",") if part]
+  if wanted == "all" or wanted.isdecimal():
+    numbers = [str(number) for number in range((count or 1) if wanted == "all" else int(wanted))]
+  if not all(number.isdecimal() for number in numbers) or len(set(numbers)) != len(numbers):
+    raise UsageError(f"--gpus {wanted}: give all, a number of GPUs, or a list of their numbers such as 0,1")
+  if not numbers or (device != "cpu" and max(map(int, numbers)) >= count):
     raise UsageError(f"--gpus {wanted}: this host has {count} GPU{'s' * (count != 1)}")
-  return [str(number) if device != "cpu" else "cpu" for number in numbers]
+  return ["cpu"] * len(numbers) if device == "cpu" else numbers
 
 
 def _without_launch(given: list[str]) -> list[str]:
@@ -130,13 +126,11 @@ def _over_ssh(hosts: list[str], lines: list[str]) -> int:
     for host, line in zip(hosts, lines, strict=True)
   ]
   try:
-    while True:
-      codes = [process.poll() for process in started]
-      if failed := next((code for code in codes if code), 0):
-        return failed
-      if None not in codes:
-        return 0
+    codes: list[int | None] = [None]
+    while None in codes and not any(codes):
       time.sleep(0.2)
+      codes = [process.poll() for process in started]
+    return next(filter(None, codes), 0)
   finally:
     for process in started:
       if process.poll() is None:

@@ -69,16 +69,16 @@ def find_policy(wanted: PolicyArguments, line: TaskLine) -> FoundPolicy:
   from mjlab_rl import find_checkpoint
   from mjlab_rl.bundle_policy import is_bundle
 
-  named, source = wanted.checkpoint, Path(wanted.checkpoint)
+  source = Path(wanted.checkpoint)
   if is_bundle(source):
     # Bundles stand beside the manifest of their run, or alone; their description is compared with the environment.
     run = manifest_of(source.parent, line.name, say=lambda text: None)
   else:
-    experiment = line.task.agent.experiment_name
     try:
-      source = find_checkpoint(named, log_root=Path(wanted.log_root), experiment=experiment, task=line.name)
+      log_root, experiment = Path(wanted.log_root), line.task.agent.experiment_name
+      source = find_checkpoint(wanted.checkpoint, log_root=log_root, experiment=experiment, task=line.name)
     except UnknownNameError as error:
-      if named != "latest":
+      if wanted.checkpoint != "latest":
         raise
       raise UsageError(f"{error}. Train one with `train {line.name}`, or use --agent random.") from error
     run = manifest_of(source, line.name)

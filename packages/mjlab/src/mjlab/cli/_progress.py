@@ -37,12 +37,17 @@ class ProgressBar:
       from rich.console import Console
       from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-      columns = ("{task.description}", BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[note]}"))
-      console = Console(file=sys.stderr, markup=False, highlight=False)
-      # Output that is piped elsewhere stays there.
-      shared = sys.stdout.isatty()
       self._rich = Progress(
-        *columns, "ETA", TimeRemainingColumn(), console=console, transient=True, redirect_stdout=shared
+        "{task.description}",
+        BarColumn(),
+        TaskProgressColumn(),
+        TextColumn("{task.fields[note]}"),
+        "ETA",
+        TimeRemainingColumn(),
+        console=Console(file=sys.stderr, markup=False, highlight=False),
+        transient=True,
+        # Output that is piped elsewhere stays there.
+        redirect_stdout=sys.stdout.isatty(),
       )
       self._rich.add_task(self._label, total=self._total, note="")
       self._rich.start()

@@ -17,6 +17,8 @@ from mjlab_core.tables import table
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine
 from mjlab.cli._sweep_space import Range, Space, Sweep, Trial, check, read_space
 
+_CONFIGS = ("--agent.", "--env.")
+
 
 @dataclasses.dataclass(kw_only=True)
 class Arguments(TaskArguments):
@@ -66,6 +68,8 @@ _LINE = CommandLine(
 @_LINE.task_command
 def run(wanted: Arguments, line: TaskLine) -> int:
   """Run or continue a sweep; return 1 if every trial failed."""
+  from mjlab.cli._flags import grouped
+
   name = line.name
   sweeps = Path(wanted.log_root).resolve() / "sweeps"
   if wanted.resume is not None:
@@ -82,7 +86,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
       raise UsageError(f"--name: {folder} exists; --resume {folder.name} continues it")
     sweep = Sweep(
       task=name,
-      flags=_of_configs(line.flags),
+      flags=[word for flag, values in grouped(line.flags) if flag.startswith(_CONFIGS) for word in (flag, *values)],
       space=read_space(wanted.space),
       trials=wanted.trials,
       scheduler=wanted.scheduler,
@@ -104,17 +108,6 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   if any(trial.state != "done" for trial in trials):
     print(f"not all trials are done: sweep {name} --resume {folder.name} continues them")
   return 1 if all(trial.state == "failed" for trial in trials) else 0
-
-
-def _of_configs(given: list[str]) -> list[str]:
-  """Return the flags of task and learner, with their values."""
-  words: list[str] = []
-  is_config = False
-  for word in given:
-    if word.startswith("--"):
-      is_config = word.startswith(("--agent.", "--env."))
-    words += [word] * is_config
-  return words
 
 
 def report(trials: list[Trial], space: Space, folder: Path) -> str:

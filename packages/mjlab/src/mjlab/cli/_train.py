@@ -1,5 +1,6 @@
 """`train TASK [flags]`: build the task, apply the flags, train."""
 
+import contextlib
 import dataclasses
 import shlex
 from pathlib import Path
@@ -12,7 +13,7 @@ from mjlab_core.errors import DivergedError
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, as_usage, building, take
 from mjlab.cli._policies import manifest_of
-from mjlab.cli._watching import Watchers
+from mjlab.cli._watching import watching
 from mjlab.registry import list_tasks, load_task, task_file
 
 if TYPE_CHECKING:
@@ -185,7 +186,8 @@ def _run(
   name: str, wanted: Arguments, console: "Console", *, is_watched: bool, is_from_file: bool, **options: Any
 ) -> int:
   """Train with viewers and films, and print the result; return the exit code."""
-  watchers = Watchers(wanted, name, console)
+  opened = contextlib.ExitStack()
+  watch = watching(wanted, name, console, opened)
   # This import takes seconds, so it comes after the checks.
   from mjlab_rl import train
 
@@ -210,7 +212,7 @@ def _run(
       # A viewer can pause the training.
       rank_timeout=None if wanted.viewer else wanted.rank_timeout or None,
       on_ready=on_ready,
-      watch=watchers.open if is_watched and (wanted.viewer or wanted.video) else None,
+      watch=watch if is_watched and (wanted.viewer or wanted.video) else None,
       **options,
     )
   except Exception as error:
@@ -219,7 +221,7 @@ def _run(
     with building(from_file=is_from_file):
       raise error
   finally:
-    watchers.close()
+    opened.close()
   if result.stopped_by is None:
     console.say(f"done: {result.iterations} iterations, {result.checkpoint}")
   else:

@@ -107,11 +107,11 @@ def _types(names: list[str]) -> "dict[str, TileCfg]":
   """Return types of tile by name; "all" and "walking" are sets of them."""
   from mjlab_terrain import all_types, walking_types
 
-  known, chosen = all_types(), {}
   sets = {"all": all_types(), "walking": walking_types()}
+  sets |= {name: {name: cfg} for name, cfg in all_types().items()}
+  chosen: dict[str, TileCfg] = {}
   for name in names:
-    check_name("type", name, [*sets, *known])
-    chosen |= sets[name] if name in sets else {name: known[name]}
+    chosen |= sets[check_name("type", name, sets)]
   return chosen
 
 

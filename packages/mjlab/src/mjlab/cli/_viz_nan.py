@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from mjlab_core.constraints import Positive
 
 from mjlab.cli._command_line import CommandLine, PageArguments, output_file
-from mjlab.cli._watching import browse
+from mjlab.cli._watching import browse_replay
 
 if TYPE_CHECKING:
   from mjlab_sim import NanDump
@@ -63,12 +63,8 @@ def run(wanted: Arguments, files: list[str]) -> int:
       replay.film(wanted.video, renderer, speed=wanted.speed)
     print(f"film: {wanted.video}")
   if wanted.viewer == "browser":
-    from mjlab_viewer import Playback, ZeroPolicy
-
-    playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
-    playback.speed = wanted.speed
     print()
-    browse(playback, host=wanted.host, port=wanted.port, label=Path(file).name)
+    browse_replay(replay, wanted.speed, host=wanted.host, port=wanted.port, label=Path(file).name)
   return 0
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
   from mjlab_rl import Console, IterationReport
-  from mjlab_viewer import Playback
+  from mjlab_viewer import Playback, Replay
   from mjlab_viewer.browser.training_panel import TrainingPanel
 
 
@@ -26,6 +26,15 @@ def browse(playback: "Playback", *, host: str, port: int, label: str, **options:
     return until_interrupted(viewer.run)
 
 
+def browse_replay(replay: "Replay", speed: float = 1.0, **page: Any) -> int:
+  """Play a replay in the browser again and again until Ctrl-C; `page` as for `browse`. Return the exit code."""
+  from mjlab_viewer import Playback, ZeroPolicy
+
+  playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
+  playback.speed = speed
+  return browse(playback, **page)
+
+
 def until_interrupted(run: Callable[[], None]) -> int:
   """Run a viewer until it ends or Ctrl-C; return the exit code."""
   try:
@@ -35,44 +44,47 @@ def until_interrupted(run: Callable[[], None]) -> int:
   return 0
 
 
-class Watchers:
-  """Viewer and films of a running training, as the flags of `train` ask for them."""
+def watching(
+  wanted: Any, name: str, console: "Console", opened: contextlib.ExitStack
+) -> Callable[[Any, Path | None], Callable[[], None]]:
+  """Return the function that opens viewer and films of a training, as the flags of `train` request.
 
-  def __init__(self, wanted: Any, name: str, console: "Console") -> None:
-    if wanted.viewer:
-      from mjlab_viewer import check_address
+  It takes the environment and the run directory, returns the function to call after every step, and leaves the closing
+  to `opened`.
 
-      check_address(wanted.viewer_host, wanted.viewer_port)
-    self._wanted, self._name, self._console = wanted, name, console
-    self._open = contextlib.ExitStack()
+  Raises:
+    MjlabError: The address of the viewer is not available.
+  """
+  if wanted.viewer:
+    from mjlab_viewer import check_address
 
-  def open(self, env: Any, directory: Path | None) -> Callable[[], None]:
-    """Open viewer and films; return the function to call after every step."""
+    check_address(wanted.viewer_host, wanted.viewer_port)
+
+  def watch(env: Any, directory: Path | None) -> Callable[[], None]:
     from mjlab_viewer import BrowserViewer, TrainingVideo
 
-    wanted, look = self._wanted, getattr(env.cfg, "viewer", None)
+    look = getattr(env.cfg, "viewer", None)
     calls: list[Callable[[], None]] = []
     if wanted.viewer:
-      camera = None if look is None else look.camera()
       viewer = BrowserViewer(
         env,
         host=wanted.viewer_host,
         port=wanted.viewer_port,
-        camera=camera,
-        label=self._name,
+        camera=None if look is None else look.camera(),
+        label=name,
         # As by a scheduler: the training saves after the iteration.
         on_stop=lambda: os.kill(os.getpid(), signal.SIGTERM),
       )
+      opened.callback(viewer.close)
       print(f"watch at {viewer.url}", flush=True)
       if (panel := viewer.training) is not None:
-        self._console.on_report.append(lambda report: _show_on_page(panel, report))
-      self._open.callback(viewer.close)
+        console.on_report.append(lambda report: _show_on_page(panel, report))
       calls.append(viewer.update)
     if wanted.video and directory is not None:
       interval, length = wanted.video_interval, wanted.video_length
       picture = None if look is None else look.picture()
       video = TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
-      self._open.callback(video.close)
+      opened.callback(video.close)
       calls.append(video.after_step)
 
     def after_step() -> None:
@@ -81,9 +93,7 @@ class Watchers:
 
     return after_step
 
-  def close(self) -> None:
-    """Close viewer and films."""
-    self._open.close()
+  return watch
 
 
 def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:

@@ -40,10 +40,10 @@ def colliding(model: mujoco.MjModel) -> list[int]:
   return np.flatnonzero(bits & (model.geom_type != _PLANE)).tolist()
 
 
-def heights(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, float]:
+def heights(model: mujoco.MjModel, data: mujoco.MjData) -> dict[str, float]:
   """Return the height of the lowest point of each geom that can touch the ground, a plane of the model [m]."""
   ground = int(np.argmax(model.geom_type == _PLANE))
-  return {i: mujoco.mj_geomDistance(model, data, ground, i, _FAR, None) for i in colliding(model)}
+  return {model.geom(i).name: mujoco.mj_geomDistance(model, data, ground, i, _FAR, None) for i in colliding(model)}
 
 
 def within_limits(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
@@ -109,10 +109,8 @@ def find_feet(robot: RobotModel, qpos: np.ndarray, given: Sequence[str]) -> tupl
   lowest = heights(model, data)
   if not lowest:
     raise MjlabError(f"{robot.source}: no geom collides, so that the robot would fall through the ground")
-  by_body: dict[str, list[int]] = {}
-  for body in robot.spec.bodies[1:] if given else last_links(robot.spec):
-    ids = {model.geom(geom.name).id for part in (body, *body.find_all("body")) for geom in part.geoms}
-    by_body[body.name] = [i for i in lowest if i in ids]
+  bodies = robot.spec.bodies[1:] if given else last_links(robot.spec)
+  by_body = {body.name: [geom.name for geom in body.find_all("geom") if geom.name in lowest] for body in bodies}
   names: list[str] = []
   if given:
     _, names = match_names(given, list(by_body), what="body", owner="--feet")
@@ -121,18 +119,18 @@ def find_feet(robot: RobotModel, qpos: np.ndarray, given: Sequence[str]) -> tupl
   elif robot.is_floating:
     floor = min(lowest.values())
     limit = floor + SAME_HEIGHT * (max(lowest.values()) - floor)
-    names = [name for name, geoms in by_body.items() if any(lowest[i] <= limit for i in geoms)]
-  return tuple(_foot(robot, data, name, {i: lowest[i] for i in by_body[name]}) for name in names)
+    names = [name for name, geoms in by_body.items() if any(lowest[geom] <= limit for geom in geoms)]
+  return tuple(_foot(robot, data, name, {geom: lowest[geom] for geom in by_body[name]}) for name in names)
 
 
-def _foot(robot: RobotModel, data: mujoco.MjData, name: str, lowest: dict[int, float]) -> Foot:
+def _foot(robot: RobotModel, data: mujoco.MjData, name: str, lowest: dict[str, float]) -> Foot:
   """Return a foot, and add its site unless the robot has one of that name."""
-  soles = [i for i, height in lowest.items() if height <= min(lowest.values()) + SOLE]
+  soles = tuple(geom for geom, height in lowest.items() if height <= min(lowest.values()) + SOLE)
   site, body = f"{name}_foot", data.body(name)
   if all(other.name != site for other in robot.spec.sites):
-    place = body.xmat.reshape(3, 3).T @ (data.geom_xpos[soles].mean(0) - body.xpos)
-    robot.spec.body(name).add_site(name=site, pos=place)
-  return Foot(body=name, geoms=tuple(data.geom(i).name for i in soles), site=site)
+    middle = np.mean([data.geom(geom).xpos for geom in soles], axis=0)
+    robot.spec.body(name).add_site(name=site, pos=body.xmat.reshape(3, 3).T @ (middle - body.xpos))
+  return Foot(body=name, geoms=soles, site=site)
 
 
 def bend_legs(robot: RobotModel, qpos: np.ndarray, feet: Sequence[Foot]) -> np.ndarray:

@@ -115,24 +115,25 @@ def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
   elif is_urdf and not floats:
     floats = len(last_links(model.spec)) > 1
     model.notes.append(f"the base is a guess from the URDF: {'floating' if floats else 'fixed'} (--base changes it)")
-  if floats and not free:
-    if root.joints:
-      raise MjlabError(f"{model.source}: body '{printable(root.name)}' has joints, so that its base cannot float")
-    root.add_freejoint()
-  for joint in free if not floats else []:
-    model.spec.delete(joint)
-  if floats != bool(free):
-    # Keyframes of the file have another length.
-    for key in list(model.spec.keys):
-      model.spec.delete(key)
   model.is_floating = floats
+  if floats == bool(free):
+    return
+  if floats and root.joints:
+    raise MjlabError(f"{model.source}: body '{printable(root.name)}' has joints, so that its base cannot float")
+  if floats:
+    root.add_freejoint()
+  # Keyframes of the file have another length.
+  for element in [*free, *model.spec.keys]:
+    model.spec.delete(element)
 
 
 def last_links(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
   """Return the bodies with joints below which there are no joints, in the model's order."""
-  jointed = [body for body in spec.bodies if any(joint.type in JOINT_KINDS for joint in body.joints)]
-  names = {body.name for body in jointed}
-  return [body for body in jointed if not any(below.name in names for below in body.find_all("body"))]
+
+  def moving(joints: list[mujoco.MjsJoint]) -> int:
+    return sum(joint.type in JOINT_KINDS for joint in joints)
+
+  return [body for body in spec.bodies if moving(body.joints) == moving(body.find_all("joint")) > 0]
 
 
 def pattern(name: str) -> str:

@@ -69,8 +69,8 @@ def source(value: object) -> str:
 
 def call_source(cfg: Any) -> str:
   """Return Python source of a dataclass, with the fields that differ from their defaults."""
-  values = {field.name: (getattr(cfg, field.name), field.default) for field in dataclasses.fields(cfg)}
-  arguments = [f"{name}={source(value)}" for name, (value, default) in values.items() if value != default]
+  fields = [field for field in dataclasses.fields(cfg) if getattr(cfg, field.name) != field.default]
+  arguments = [f"{field.name}={source(getattr(cfg, field.name))}" for field in fields]
   return _bracketed(f"{type(cfg).__name__}(", arguments, ")")
 
 

@@ -12,7 +12,7 @@ from mjlab.new.limbs import Foot, colliding
 from mjlab.new.settling import Home
 
 WIDTH, HEIGHT = 560, 480
-_TORSO, _FOOT, _SOLID = (0.20, 0.45, 0.85, 1.0), (0.95, 0.55, 0.10, 1.0), (0.62, 0.66, 0.70, 1.0)
+_TORSO, _FOOT, _SOLID = (51, 115, 217, 255), (242, 140, 26, 255), (158, 168, 178, 255)
 _HIDDEN_GROUP = 5
 
 
@@ -29,19 +29,18 @@ def robot_picture(home: Home, torso: str, feet: Sequence[Foot]) -> bytes:
   model.geom_group[of_robot] = _HIDDEN_GROUP
   model.geom_group[colliding(model)] = 0
   model.geom_matid[of_robot] = -1
-  model.geom_rgba[of_robot] = _SOLID
-  model.geom_rgba[model.geom_bodyid == model.body(f"robot/{torso}").id] = _TORSO
+  model.geom_rgba[of_robot] = np.divide(_SOLID, 255)
+  model.geom_rgba[model.geom_bodyid == model.body(f"robot/{torso}").id] = np.divide(_TORSO, 255)
   for name in (name for foot in feet for name in foot.geoms):
-    model.geom(f"robot/{name}").rgba[:] = _FOOT
+    model.geom(f"robot/{name}").rgba[:] = np.divide(_FOOT, 255)
   right = _render(home, (True, False, False, False, False, False))
   image = Image.fromarray(np.hstack((left, right)))
   draw, font = ImageDraw.Draw(image), ImageFont.load_default(18)
   draw.text((12, 10), "home pose", fill="black", font=font, stroke_width=2, stroke_fill="white")
   labels = [("colliding geoms", _SOLID), (f"torso: {torso}", _TORSO), *((f"foot: {foot.body}", _FOOT) for foot in feet)]
   for row, (text, color) in enumerate(labels):
-    fill = tuple(round(255 * part) for part in color[:3])
     place = (WIDTH + 12, 10 + 24 * row)
-    draw.text(place, text[:50], fill=fill, font=font, stroke_width=2, stroke_fill="white")
+    draw.text(place, text[:50], fill=color, font=font, stroke_width=2, stroke_fill="white")
   file = io.BytesIO()
   image.save(file, format="PNG", optimize=True)
   return file.getvalue()

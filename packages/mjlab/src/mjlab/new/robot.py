@@ -127,14 +127,11 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
 
 
 def _wheels(robot: RobotModel, feet: Sequence[Foot]) -> list[str]:
+  """Return the hinges without range at the bodies of feet."""
   model = robot.compiled()
-  found = []
-  for foot in feet:
-    for joint in robot.spec.body(foot.body).joints:
-      i = model.joint(joint.name).id
-      if joint.type == mujoco.mjtJoint.mjJNT_HINGE and not model.jnt_limited[i]:
-        found.append(joint.name)
-  return found
+  joints = [joint for foot in feet for joint in robot.spec.body(foot.body).joints]
+  hinges = [joint.name for joint in joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE]
+  return [name for name in hinges if not model.jnt_limited[model.joint(name).id]]
 
 
 def _add_motion_sensors(robot: RobotModel) -> None:

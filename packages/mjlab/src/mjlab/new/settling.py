@@ -80,7 +80,7 @@ def _trial(
     data.qpos[2] -= min(heights(model, data).values())
     mujoco.mj_forward(model, data)
   start = data.qpos.copy()
-  root = next(i for i in range(1, model.nbody) if model.body(i).name.startswith("robot/"))
+  root = model.body(f"robot/{spec.worldbody.bodies[0].name}").id
   axis, height = data.xmat[root].reshape(3, 3)[2].copy(), data.xpos[root, 2]
   reach = height - min(0.0, float(data.xpos[:, 2].min()))
   for _ in range(round(SECONDS / model.opt.timestep)):
