@@ -82,7 +82,7 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
     spec.memory = -1
     spec.copy().compile()
   model = RobotModel(spec=spec, source=printable(path.name), is_floating=False)
-  _keep_only_the_robot(model)
+  model.notes += _keep_only_the_robot(model)
   _set_base(model, base, is_urdf=path.suffix.lower() == ".urdf")
   # Entities name all elements.
   try:
@@ -93,7 +93,8 @@ def read_robot_model(path: Path, base: Base) -> RobotModel:
   return model
 
 
-def _keep_only_the_robot(model: RobotModel) -> None:
+def _keep_only_the_robot(model: RobotModel) -> list[str]:
+  """Remove geoms, cameras and lights of the world; return a note about them."""
   spec = model.spec
   roots = spec.worldbody.bodies
   if len(roots) != 1:
@@ -102,8 +103,7 @@ def _keep_only_the_robot(model: RobotModel) -> None:
   geoms = len(spec.worldbody.geoms)
   for element in [*spec.worldbody.geoms, *spec.worldbody.cameras, *spec.lights]:
     spec.delete(element)
-  if geoms:
-    model.notes.append(f"left out {geoms} geoms of the world, such as a floor")
+  return [f"left out {geoms} geoms of the world, such as a floor"] if geoms else []
 
 
 def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
