@@ -1,6 +1,6 @@
 """State that an entity starts in: configured, read from its spec, and joined to the keyframe of a scene."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -85,7 +85,8 @@ def read_initial_state(
   joints = {model.joint(i).name: data.joint(i) for i in range(model.njnt) if model.jnt_type[i] != _FREE}
   positions = {name: joint.qpos for name, joint in joints.items()}
   moved = _set(positions, cfg.joint_pos or {}, "joint", owner, "joint_pos")
-  _check_limits(model, {name: positions[name] for name in moved}, owner)
+  if problems := list(_limit_problems(model, {name: positions[name] for name in moved}, owner)):
+    raise ConfigError(*problems)
   for name, position in positions.items():
     if position.size == 4:
       position[:] = _unit(position, f"{owner}, joint_pos of '{name}'")
@@ -152,15 +153,12 @@ def _set(arrays: Mapping[str, np.ndarray], values: Mapping[str, Any], what: str,
   return names
 
 
-def _check_limits(model: mujoco.MjModel, positions: Mapping[str, np.ndarray], owner: str) -> None:
-  problems = []
+def _limit_problems(model: mujoco.MjModel, positions: Mapping[str, np.ndarray], owner: str) -> Iterator[str]:
   for name, position in positions.items():
     joint = model.joint(name)
     low, high = joint.range
     if model.jnt_limited[joint.id] and position.size == 1 and not low - 1e-6 <= position[0] <= high + 1e-6:
-      problems.append(f"{owner}: initial position {position[0]:g} of joint '{name}' is outside [{low:g}, {high:g}]")
-  if problems:
-    raise ConfigError(*problems)
+      yield f"{owner}: initial position {position[0]:g} of joint '{name}' is outside [{low:g}, {high:g}]"
 
 
 def _place_root(
