@@ -40,7 +40,9 @@ class RobotModel:
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1.0, 1.0, 1.0])
     return spec.compile()
 
-  def numbers(self, given: Sequence[str], flag: str, form: str, most: int = 1) -> dict[str, list[float]]:
+  def numbers(
+    self, given: Sequence[str], flag: str, form: str, most: int = 1, above: float = -math.inf
+  ) -> dict[str, list[float]]:
     """Return the numbers of joints that a flag gives as PATTERN=NUMBER,...
 
     Args:
@@ -48,6 +50,7 @@ class RobotModel:
       flag: Name of the flag.
       form: Form of a word, for the message.
       most: Largest number of numbers of a joint.
+      above: Limit that all numbers exceed.
 
     Raises:
       UsageError: A word has another form.
@@ -60,7 +63,7 @@ class RobotModel:
         wanted[name] = [float(value) for value in values.split(",")]
       except ValueError:
         wanted[name] = []
-      if not 1 <= len(wanted[name]) <= most or not all(map(math.isfinite, wanted[name])):
+      if not 1 <= len(wanted[name]) <= most or not all(above < number < math.inf for number in wanted[name]):
         raise UsageError(f"{flag}: {text!r} must be {form}")
     _, names, numbers = match_values(wanted, [joint.name for joint in self.joints], what="joint", owner=flag)
     return dict(zip(names, numbers, strict=True))
@@ -118,8 +121,6 @@ def _set_base(model: RobotModel, base: Base, *, is_urdf: bool) -> None:
   model.is_floating = floats
   if floats == bool(free):
     return
-  if floats and root.joints:
-    raise MjlabError(f"{model.source}: body '{printable(root.name)}' has joints, so that its base cannot float")
   if floats:
     root.add_freejoint()
   # Keyframes of the file have another length.

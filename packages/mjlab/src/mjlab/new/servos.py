@@ -12,7 +12,7 @@ from mjlab_actuators import (
   XmlActuatorCfg,
   gains_from_frequency,
 )
-from mjlab_core import MjlabError, UsageError, printable
+from mjlab_core import MjlabError, printable
 
 from mjlab.new.model_file import RobotModel, pattern
 
@@ -88,9 +88,9 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
     MjlabError: No joint has an effort limit.
   """
   model, order = robot.compiled(), [joint.name for joint in robot.joints]
-  given = robot.numbers(motors, "--motors", "PATTERN=EFFORT[,ARMATURE[,SPEED]] with positive numbers", most=3)
-  if any(number <= 0 for numbers in given.values() for number in numbers):
-    raise UsageError("--motors: efforts, armatures and speeds must be positive numbers")
+  given = robot.numbers(
+    motors, "--motors", "PATTERN=EFFORT[,ARMATURE[,SPEED]] with positive numbers", most=3, above=0.0
+  )
   found: dict[str, ServoCfg] = {}
   # Effort of a motor, and its armature and speed if they are known.
   motor_data = {joint: tuple(numbers) for joint, numbers in given.items()}
