@@ -115,7 +115,7 @@ def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
   model = sim.mj_model
   points, directions = pattern.rays()
   rays = len(points)
-  assert (sensor.rays_per_frame, sensor.num_frames) == (rays, 2)
+  assert (sensor.rays_per_frame, sensor.num_rays, sensor.num_frames) == (rays, 2 * rays, 2)
   found, seen = 0, set()
   for world in range(num_envs):
     data = mujoco.MjData(model)
@@ -145,6 +145,8 @@ def test_every_ray_equals_mj_ray(alignment: Any, pattern: Any) -> None:
         seen.add(int(model.geom_type[geom[0]]) if geom[0] >= 0 else -1)
         found += distance >= 0
   torch.testing.assert_close(read.frame_mat_w, matrix_from_quat(read.frame_quat_w))
+  torch.testing.assert_close(read.pos_w, read.frame_pos_w[:, 0])
+  torch.testing.assert_close(read.quat_w, read.frame_quat_w[:, 0])
   assert 0.2 < found / (num_envs * 2 * rays) < 0.98
   if rays > 50 and alignment != "base":
     # A plane, each primitive, a mesh and a height field, and nothing.
@@ -217,7 +219,7 @@ def test_what_is_not_hit_says_so() -> None:
   missed = ~read.valid
   assert (read.distances[missed] == -1.0).all()
   assert not read.normals_w[missed].any()
-  assert (read.hit_pos_w[1, 0] == read.frame_pos_w[1, 0]).all()
+  assert (read.hit_pos_w[1, 0] == read.pos_w[1]).all()
 
 
 def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_operations: Count) -> None:
@@ -225,7 +227,7 @@ def test_a_reading_costs_few_operations(monkeypatch: pytest.MonkeyPatch, count_o
   _ = sim.version
   for sensor, most in zip(sensors, (16, 18, 8), strict=True):
     caster = sensor._caster
-    rays = torch.ones(3, sensor.num_frames * sensor.rays_per_frame, 3, dtype=sim.dtype)
+    rays = torch.ones(3, sensor.num_rays, 3, dtype=sim.dtype)
     hits = caster.cast(rays, rays)
     monkeypatch.setattr(caster, "cast", lambda hits=hits: hits)
     assert count_operations(sensor._read) <= most
@@ -247,9 +249,9 @@ def test_pixels_of_a_camera_are_those_of_its_image(camera: str, size: tuple[int,
   _, expected, _ = pixel_rays(model, data, number, int(width), int(height))
   read = sensor.data
   assert read.valid.all()
-  seen = ((read.hit_pos_w - read.frame_pos_w) / read.distances[..., None])[0]
+  seen = ((read.hit_pos_w - read.pos_w[:, None]) / read.distances[..., None])[0]
   np.testing.assert_allclose(seen, expected.reshape(-1, 3), atol=1e-6)
-  np.testing.assert_allclose(read.frame_pos_w[0, 0], data.cam_xpos[number], atol=1e-9)
+  np.testing.assert_allclose(read.pos_w[0], data.cam_xpos[number], atol=1e-9)
 
 
 def test_the_first_row_is_the_top_and_each_runs_to_the_right() -> None:

@@ -30,7 +30,7 @@ class RayCastSensorCfg(RaySensorCfg):
 class RayCastData:
   """Hits of the rays of a `RayCastSensor`, frame by frame.
 
-  Ray r of frame f is number f * rays_per_frame + r. The tensors are the sensor's own memory.
+  Ray r of frame f is number f * rays_per_frame + r, and num_rays counts all. The tensors are the sensor's own memory.
   """
 
   distances: torch.Tensor
@@ -54,6 +54,16 @@ class RayCastData:
   def frame_quat_w(self) -> torch.Tensor:
     """Orientations (w, x, y, z) of the frames, world frame, computed at each access, (num_envs, num_frames, 4)."""
     return quat_from_matrix(self.frame_mat_w)
+
+  @property
+  def pos_w(self) -> torch.Tensor:
+    """Origin of the first frame, world frame, (num_envs, 3) [m]."""
+    return self.frame_pos_w[:, 0]
+
+  @property
+  def quat_w(self) -> torch.Tensor:
+    """Orientation (w, x, y, z) of the first frame, world frame, computed at each access, (num_envs, 4)."""
+    return quat_from_matrix(self.frame_mat_w[:, 0])
 
 
 class RayCastSensor(RaySensor[RayCastData]):

@@ -62,6 +62,11 @@ class RaySensor(Sensor[T]):
     """Number of frames."""
     return len(self.frame_names)
 
+  @property
+  def num_rays(self) -> int:
+    """Number of rays of all frames."""
+    return self.num_frames * self.rays_per_frame
+
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
     frames = self.cfg.frames
     self.frame_names = frames.names_in(spec, entities, frames.type, f"{self.label}: frames")
