@@ -48,7 +48,7 @@ def run(scene: Scene, sim: Simulation) -> None:
   robot.write_external_wrench(
     torch.ones((1, 1, 3), dtype=sim.dtype), torch.ones((1, 1, 3), dtype=sim.dtype), body_ids=[1]
   )
-  robot.set_joint_position_target(torch.full((2, 1), 0.4, dtype=sim.dtype), ids=[1])
+  robot.set_joint_position_target(torch.full((2, 1), 0.4, dtype=sim.dtype), joint_ids=[1])
   for _ in range(5):
     scene.write_ctrl()
     sim.step()

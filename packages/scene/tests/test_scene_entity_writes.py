@@ -162,7 +162,7 @@ def test_joint_ids_select_joints_whatever_their_width(make_worlds: MakeWorlds, s
   columns = [column for joint in ids for column in ([0], [1, 2, 3], [4])[joint]]
   velocity = random(2, len(columns))
   robot.write_joint_velocity(velocity, joint_ids=selection)
-  robot.set_joint_velocity_target(velocity, ids=selection)
+  robot.set_joint_velocity_target(velocity, joint_ids=selection)
   for tensor in (robot.data.joint_vel, robot.data.joint_vel_target):
     assert torch.equal(tensor[:, columns], velocity)
     assert tensor.count_nonzero() == velocity.numel()

@@ -218,7 +218,7 @@ def test_set_points_of_chosen_tendons_reach_masked_worlds_only(make_worlds: Make
   ids, names = robot.find_tendons(("servo", "xml"), preserve_order=True)
   assert names == ["servo", "xml"]
   before = robot.data.tendon_vel_target.clone()
-  robot.set_tendon_vel_target(torch.tensor([[1.0, 2.0]]), ids=ids, mask=torch.tensor([False, True]))
+  robot.set_tendon_vel_target(torch.tensor([[1.0, 2.0]]), tendon_ids=ids, mask=torch.tensor([False, True]))
   assert torch.equal(robot.data.tendon_vel_target[0], before[0])
   assert robot.data.tendon_vel_target[1].tolist() == [2.0, 1.0, 0.0]
   with pytest.raises(ValueError, match=r"set_tendon_vel_target: shape \(2, 2\) does not fit \(2, 3\)"):

@@ -48,16 +48,6 @@ _NORMALISED = ("write_joint_position", "write_root_pose", "write_root_pose, orie
 _NO_JOINTS = "it has no joints"
 
 
-def _target_setter(kind: Transmission, quantity: Quantity):
-  """Return the method of an entity that sets targets of a kind."""
-
-  def set_target(self: Entity, target: torch.Tensor, ids: Selection = None, mask: Mask = None) -> None:
-    """Set targets of the elements `ids`, (num_envs, k), in the worlds of `mask`."""
-    self.target_view(kind, quantity, ids).write(target, mask)
-
-  return set_target
-
-
 @dataclass(kw_only=True)
 class EntityArticulationCfg(Config):
   """Actuators and joint limits of an entity."""
@@ -279,24 +269,41 @@ class Entity(EntitySpec, Stateful):
     """
     return self._writes[_TARGETS[kind, quantity]].view(ids)
 
-  set_joint_position_target = _target_setter("joint", "position")
-  """Set position targets of joints, (num_envs, k) [rad or m]."""
-  set_joint_velocity_target = _target_setter("joint", "velocity")
-  """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
-  set_joint_effort_target = _target_setter("joint", "effort")
-  """Set effort targets of joints, (num_envs, k) [N m or N]."""
-  set_tendon_len_target = _target_setter("tendon", "position")
-  """Set length targets of tendons, (num_envs, k) [m or rad]."""
-  set_tendon_vel_target = _target_setter("tendon", "velocity")
-  """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
-  set_tendon_effort_target = _target_setter("tendon", "effort")
-  """Set effort targets along tendons, (num_envs, k) [N or N m]."""
-  set_site_pos_target = _target_setter("site", "position")
-  """Set position targets of sites, along their gear from the reference site, (num_envs, k) [m or rad]."""
-  set_site_vel_target = _target_setter("site", "velocity")
-  """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
-  set_site_effort_target = _target_setter("site", "effort")
-  """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
+  def set_joint_position_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
+    """Set position targets of joints, (num_envs, k) [rad or m]."""
+    self._write("set_joint_position_target", target, mask, joint_ids)
+
+  def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
+    """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
+    self._write("set_joint_velocity_target", target, mask, joint_ids)
+
+  def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
+    """Set effort targets of joints, (num_envs, k) [N m or N]."""
+    self._write("set_joint_effort_target", target, mask, joint_ids)
+
+  def set_tendon_len_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
+    """Set length targets of tendons, (num_envs, k) [m or rad]."""
+    self._write("set_tendon_len_target", target, mask, tendon_ids)
+
+  def set_tendon_vel_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
+    """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
+    self._write("set_tendon_vel_target", target, mask, tendon_ids)
+
+  def set_tendon_effort_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
+    """Set effort targets along tendons, (num_envs, k) [N or N m]."""
+    self._write("set_tendon_effort_target", target, mask, tendon_ids)
+
+  def set_site_pos_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
+    """Set position targets of sites, along their gear from the reference site, (num_envs, k) [m or rad]."""
+    self._write("set_site_pos_target", target, mask, site_ids)
+
+  def set_site_vel_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
+    """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
+    self._write("set_site_vel_target", target, mask, site_ids)
+
+  def set_site_effort_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
+    """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
+    self._write("set_site_effort_target", target, mask, site_ids)
 
   # Forces and controls
 

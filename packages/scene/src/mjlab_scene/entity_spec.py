@@ -139,6 +139,31 @@ class EntitySpec:
     return not self.is_floating
 
   @property
+  def num_bodies(self) -> int:
+    """Number of bodies, the scene's mocap base included."""
+    return len(self.body_names)
+
+  @property
+  def num_joints(self) -> int:
+    """Number of joints, the free one left out."""
+    return len(self.joint_names)
+
+  @property
+  def num_geoms(self) -> int:
+    """Number of geoms."""
+    return len(self.geom_names)
+
+  @property
+  def num_sites(self) -> int:
+    """Number of sites."""
+    return len(self.site_names)
+
+  @property
+  def num_actuators(self) -> int:
+    """Number of actuators in the model."""
+    return len(self.actuator_names)
+
+  @property
   def is_articulated(self) -> bool:
     """True if it has joints other than the free one."""
     return bool(self.joint_names)
