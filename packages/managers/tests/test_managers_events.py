@@ -27,6 +27,7 @@ def test_each_mode_fires_its_own_terms_where_it_is_told(env):
   terms = {mode: Fired() for mode in modes}
   cfgs = {mode: EventTermCfg(terms[mode], mode=mode) for mode in modes}
   manager = EventManager({**cfgs, "none": None}, env)
+  assert manager.available_modes == ["startup", "reset", "step"]
   manager.apply("startup")
   manager.apply("reset", env.mask(1))
   manager.apply("interval")

@@ -77,7 +77,9 @@ class TestOrder:
     assert got.dtype is torch.float32
     assert torch.equal(got, torch.cat([env.values[:, :3] * 2, env.values[:, :1]], 1).float())
     assert manager.active_terms == {"g": ["b", "a"]}
+    assert manager.group_obs_dim == {"g": (4,)}
     assert manager.group_obs_term_dim == {"g": [(3,), (1,)]}
+    assert manager.group_obs_concatenate == {"g": True}
 
 
 class TestNoise:

@@ -100,6 +100,15 @@ def test_finite_horizon_has_no_time_outs() -> None:
   assert "time_outs" not in wrapped.step(torch.zeros(4, 1))[3]
 
 
+def test_a_reset_begins_episodes_and_returns_their_observations() -> None:
+  wrapped = RslRlVecEnvWrapper(PointEnv(PointEnvCfg()))
+  wrapped.step(torch.ones(4, 1))
+  observations, _ = wrapped.reset()
+  assert torch.equal(observations["actor"], wrapped.get_observations()["actor"])
+  assert wrapped.episode_length_buf.tolist() == [0, 0, 0, 0]
+  wrapped.close()
+
+
 def test_assigning_episode_lengths_keeps_their_memory() -> None:
   env = PointEnv(PointEnvCfg())
   wrapped = RslRlVecEnvWrapper(env)

@@ -111,6 +111,11 @@ class EventManager(ManagerBase[EventTermCfg]):
     times = torch.lerp(self._lo, self._hi, u)
     return times if self._global is None else torch.where(self._global, times[:1], times)
 
+  @property
+  def available_modes(self) -> list[str]:
+    """Modes that have at least one term."""
+    return [mode for mode, terms in self._modes.items() if terms]
+
   def apply(self, mode: EventMode, mask: torch.Tensor | None = None) -> None:
     """Fire the terms of one mode.
 

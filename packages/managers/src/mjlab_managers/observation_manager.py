@@ -172,6 +172,19 @@ class ObservationManager(ManagerBase[Any]):
     return {group: [slot.name for slot in slots] for group, slots in self._by_group.items()}
 
   @property
+  def group_obs_dim(self) -> dict[str, tuple[int, ...] | list[tuple[int, ...]]]:
+    """Shape of the observation of one world by group; a list of shapes if terms are not concatenated."""
+    return {
+      group: tuple(view.shape[1:]) if isinstance(view, torch.Tensor) else self.group_obs_term_dim[group]
+      for group, view in self.buffers.items()
+    }
+
+  @property
+  def group_obs_concatenate(self) -> dict[str, bool]:
+    """`concatenate_terms` of each group."""
+    return {group: self._groups[group].concatenate_terms for group in self.active_groups}
+
+  @property
   def group_obs_term_dim(self) -> dict[str, list[tuple[int, ...]]]:
     """Shapes of the terms of one world by group."""
     return {group: [slot.shape for slot in slots] for group, slots in self._by_group.items()}

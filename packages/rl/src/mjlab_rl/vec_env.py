@@ -63,6 +63,15 @@ class RslRlVecEnvWrapper(VecEnv):
     """Return the current observations, batch size (num_envs,)."""
     return self._batch(self.unwrapped.get_observations())
 
+  def reset(self) -> tuple[TensorDict, dict[str, Any]]:
+    """Reset all worlds; return (observations, info)."""
+    observations, info = self.unwrapped.reset()
+    return self._batch(observations), info
+
+  def close(self) -> None:
+    """Close the environment."""
+    self.unwrapped.close()
+
   def step(self, actions: torch.Tensor) -> tuple[TensorDict, torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Advance all worlds by one step.
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from matplotlib import rc_context
+from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 from mjlab_core import AtomicWrite, matrix_from_quat
 from mjlab_dr import LogUniform
@@ -153,15 +153,35 @@ def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
 def plot_trials(
   columns: Mapping[str, Sequence[Any]], rewards: Sequence[float], logarithmic: set[str], path: Path
 ) -> None:
-  """Plot the reward of each trial over each of its values, with a panel for every value."""
-  figure = Figure(figsize=(0.6 + 2.6 * len(columns), 3.0))
-  panels = figure.subplots(1, len(columns), sharey=True, squeeze=False)[0]
-  for panel, (name, values) in zip(panels, columns.items(), strict=True):
-    is_number = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
-    panel.scatter(values if is_number else list(map(str, values)), rewards, color=_BLUE)
-    if name in logarithmic:
-      panel.set_xscale("log")
-    panel.set_xlabel(name)
-    panel.grid()
-  panels[0].set_ylabel("reward")
+  """Plot trials as lines over parallel axes, one for each value and one for the reward, which is also the color."""
+  named = {**columns, "reward": rewards}
+  figure = Figure(figsize=(1.6 + 1.9 * len(named), 4.6))
+  panel = figure.subplots()
+  heights = np.zeros((len(named), len(rewards)))
+  for place, (name, values) in enumerate(named.items()):
+    heights[place], ticks = _heights(values, name in logarithmic)
+    panel.axvline(place, color="black", linewidth=0.8)
+    for label, height in ticks.items():
+      panel.annotate(f" {label}", (place, height), va="center")
+  # The best trial is drawn last.
+  for trial in np.argsort(np.nan_to_num(rewards, nan=-np.inf)):
+    panel.plot(heights[:, trial], color=colormaps["viridis"](heights[-1, trial]), alpha=0.8)
+  panel.set_xticks(range(len(named)), list(named))
+  panel.set_yticks([])
+  panel.set_xlim(-0.1, len(named) - 0.55)
+  panel.spines[:].set_visible(False)
   _save(figure, path)
+
+
+def _heights(values: Sequence[Any], is_log: bool) -> tuple[np.ndarray, dict[str, float]]:
+  """Return the heights of values on an axis from 0 to 1, and those of its labels."""
+  if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+    numbers = np.log10(values) if is_log else np.array(values, dtype=float)
+    ticks = np.linspace(np.nanmin(numbers), np.nanmax(numbers), 5)
+    labels = [f"{10**tick if is_log else tick:.3g}" for tick in ticks]
+  else:
+    labels = list(dict.fromkeys(map(str, values)))
+    numbers = np.array([labels.index(str(value)) for value in values], dtype=float)
+    ticks = np.arange(len(labels), dtype=float)
+  span = ticks[-1] - ticks[0] or 1.0
+  return (numbers - ticks[0]) / span, dict(zip(labels, ((ticks - ticks[0]) / span).tolist(), strict=True))
