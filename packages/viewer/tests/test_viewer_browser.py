@@ -790,7 +790,7 @@ def test_groups_are_named_by_what_they_hold_and_switch_it() -> None:
     assert not any(label.startswith(("G1", "tendon")) for label in boxes)
     boxes["robot, cube: collision"].value = True
     boxes["robot: visual"].value = False
-    viewer._groups.values.read()
+    viewer._groups.inputs.read()
     assert viewer.scene.scene.geom_groups_visible == [True, True, False, True, False, False]
 
 

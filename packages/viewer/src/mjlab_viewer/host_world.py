@@ -10,8 +10,6 @@ from mjlab_core import Contacts, host_contacts
 
 from mjlab_viewer.snapshot import Snapshot
 
-_STATE = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active""".split()
-
 
 class HostWorld:
   """World on the host, with a copy of the simulation's model."""
@@ -37,9 +35,8 @@ def copy_world(snapshot: Snapshot, row: int, model: mujoco.MjModel, data: mujoco
   for name, rows in snapshot.model.items():
     owner = model.opt if name.startswith("opt.") else model
     _assign(owner, name.removeprefix("opt."), rows[row])
-  for name in _STATE:
-    if name in snapshot.data:
-      _assign(data, name, snapshot.data[name][row])
+  for name, rows in snapshot.data.items():
+    _assign(data, name, rows[row])
 
 
 def _assign(owner: object, name: str, value: np.ndarray) -> None:

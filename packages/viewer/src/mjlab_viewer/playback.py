@@ -99,6 +99,14 @@ class Playback:
     self._measure(now)
     return steps
 
+  def run(self, update: Callable[[], None], until: Callable[[], bool]) -> None:
+    """Do the steps that are due, and `update` a viewer, until `until` returns True."""
+    while not until():
+      steps = self.tick()
+      update()
+      if not steps:
+        time.sleep(0.002)
+
   def step_once(self) -> None:
     """Do one step, while paused."""
     if self.paused:
@@ -112,6 +120,13 @@ class Playback:
   def pause(self) -> None:
     """Stop stepping."""
     self.paused = True
+
+  def toggle(self) -> None:
+    """Pause, or continue and forget an error."""
+    if self.paused:
+      self.resume()
+    else:
+      self.pause()
 
   def fail(self, what: str, error: Exception) -> None:
     """Pause for an error, and keep it as one line."""

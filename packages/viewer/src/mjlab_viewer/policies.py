@@ -23,15 +23,11 @@ class ZeroPolicy:
     return self._actions
 
 
-class RandomPolicy:
+class RandomPolicy(ZeroPolicy):
   """Uniform actions in [-1, 1), (num_envs, num_actions)."""
 
-  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
-    self._actions = torch.zeros(num_envs, num_actions, device=device)
-
   def __call__(self, observations: object) -> torch.Tensor:
-    del observations
-    return self._actions.uniform_(-1.0, 1.0)
+    return super().__call__(observations).uniform_(-1.0, 1.0)
 
 
 @dataclass(kw_only=True, frozen=True)

@@ -45,7 +45,8 @@ class Replay:
     self._given = tuple(moments)
     own = {} if model_fields is None else model_fields
     self._moments = {name: torch.from_numpy(value) for name, value in _completed(model, moments, own).items()}
-    self._at = 0
+    self.at = 0
+    """Number of the moment that is shown."""
     self.sim: Any = SimpleNamespace(
       num_envs=self.num_envs,
       device=torch.device("cpu"),
@@ -65,15 +66,10 @@ class Replay:
   def step(self, action: object) -> tuple[dict[str, Any], torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]:
     """Show the next moment; the first one follows the last, as a new episode."""
     del action
-    self.show((self._at + 1) % self.num_steps)
+    self.show((self.at + 1) % self.num_steps)
     zeros = torch.zeros(self.num_envs)
-    is_over = torch.full((self.num_envs,), self._at == 0)
+    is_over = torch.full((self.num_envs,), self.at == 0)
     return {}, zeros, is_over, torch.zeros_like(is_over), {}
-
-  @property
-  def at(self) -> int:
-    """Number of the moment that is shown."""
-    return self._at
 
   def note(self, world: int) -> str:
     """Return what is shown of a world, one line."""
@@ -87,7 +83,7 @@ class Replay:
   def signals(self) -> dict[str, tuple[list[str], torch.Tensor]]:
     """Return the given positions, velocities and controls of the moment that is shown."""
     given = [name for name in ("qpos", "qvel", "ctrl") if name in self._given]
-    values = {name: self._moments[name][self._at].flatten(1) for name in given}
+    values = {name: self._moments[name][self.at].flatten(1) for name in given}
     return {name: ([f"{name}[{i}]" for i in range(value.shape[1])], value) for name, value in values.items()}
 
   def drawers(self) -> dict[str, Any]:
@@ -104,9 +100,9 @@ class Replay:
 
   def show(self, moment: int) -> None:
     """Show a moment by its number, the last one beyond it; `step` goes on from there."""
-    self._at = min(max(moment, 0), self.num_steps - 1)
+    self.at = min(max(moment, 0), self.num_steps - 1)
     # Copies, so that a push does not change the stored moments.
-    vars(self.sim.data).update({name: moments[self._at].clone() for name, moments in self._moments.items()})
+    vars(self.sim.data).update({name: moments[self.at].clone() for name, moments in self._moments.items()})
 
   def film(
     self,

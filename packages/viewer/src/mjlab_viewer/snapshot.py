@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from mjlab_viewer.env import ViewedEnv
 # State from which MuJoCo computes everything else, and the poses of bodies.
 FIELDS = """time qpos qvel act ctrl qacc_warmstart qfrc_applied xfrc_applied mocap_pos mocap_quat eq_active
 xpos xquat""".split()
+_CONTACT_FIELDS = [field.name for field in fields(Contacts)]
 
 
 @dataclass(kw_only=True)
@@ -54,9 +55,9 @@ class SnapshotTaker:
 
   def __init__(self, env: ViewedEnv, *, contacts: bool = False) -> None:
     self._env = env
-    self._indices: dict[tuple[int, ...], torch.Tensor] = {}
-    data = env.sim.data
-    self._fields = {name: value for name in FIELDS if (value := getattr(data, name)).numel()}
+    self._worlds: tuple[int, ...] = ()
+    self._indices = torch.empty(0)
+    self._fields = [name for name in FIELDS if getattr(env.sim.data, name).numel()]
     self._has_contacts = contacts and env.sim.contacts(0) is not None
 
   def take(self, worlds: Sequence[int], *, drawers: Sequence[str] = (), apart: bool = False, step: int = 0) -> Snapshot:
@@ -69,12 +70,10 @@ class SnapshotTaker:
       step: Number of steps done, stored in the snapshot.
     """
     env, worlds = self._env, tuple(worlds)
-    chosen = self._indices.get(worlds)
-    if chosen is None:
+    if worlds != self._worlds:
       # The same worlds are shown for a long time; a copy of their indices each time would be one more transfer.
-      self._indices = {worlds: torch.tensor(worlds, device=env.sim.device)}
-      chosen = self._indices[worlds]
-    selected = chosen[:1]
+      self._worlds, self._indices = worlds, torch.tensor(worlds, device=env.sim.device)
+    chosen, selected = self._indices, self._indices[:1]
     parts = (
       # Derived fields are brought up to date when they are read by name.
       {name: getattr(env.sim.data, name).index_select(0, chosen) for name in self._fields},
@@ -87,53 +86,37 @@ class SnapshotTaker:
       for drawing, name in itertools.product(drawings, drawers):
         if name in known:
           known[name](drawing)
-    rows = [values for part in parts for values in part.values()]
+    # The simulation has contacts of all worlds or of none.
     touching = [env.sim.contacts(world) for world in (worlds if apart else worlds[:1])] if self._has_contacts else []
-    kept = [(c.found, c.geom, c.dist, c.pos, c.normal, c.force) for c in touching if c is not None]
-    arrived = iter(
-      to_host(
-        rows + [tensor for drawing in drawings for tensor in drawing.pending] + [tensor for c in kept for tensor in c]
-      )
-    )
+    tensors = [
+      *(values for part in parts for values in part.values()),
+      *(tensor for drawing in drawings for tensor in drawing.pending),
+      *(getattr(contacts, name) for contacts in touching for name in _CONTACT_FIELDS),
+    ]
+    arrived = iter(to_host(tensors))
     data, model, signals = ({name: next(arrived) for name in part} for part in parts)
     for drawing in drawings:
       drawing.finish(arrived)
-    contacts = [_contacts(*itertools.islice(arrived, 6)) for _ in kept]
     return Snapshot(
       worlds=worlds,
       data=data,
       model=model,
       signals=signals,
       drawings=drawings,
-      contacts=contacts,
+      contacts=[_found({name: next(arrived) for name in _CONTACT_FIELDS}) for _ in touching],
       step=step,
     )
 
 
-def _contacts(
-  found: np.ndarray, geom: np.ndarray, dist: np.ndarray, pos: np.ndarray, normal: np.ndarray, force: np.ndarray
-) -> Contacts[np.ndarray]:
-  rows = found.astype(bool) & np.isfinite(pos).all(axis=1) & np.isfinite(force).all(axis=1)
-  return Contacts(
-    found=rows[rows],
-    geom=geom[rows].astype(np.int32),
-    dist=dist[rows],
-    pos=pos[rows],
-    normal=normal[rows],
-    force=force[rows],
-  )
+def _found(arrived: dict[str, np.ndarray]) -> Contacts[np.ndarray]:
+  """Return the contacts among these rows; those that are not finite are left out."""
+  rows = arrived["found"].astype(bool) & np.isfinite(np.hstack([arrived["pos"], arrived["force"]])).all(axis=1)
+  kept = {name: values[rows] for name, values in arrived.items()}
+  return Contacts(**kept | {"found": rows[rows], "geom": kept["geom"].astype(np.int32)})
 
 
 def to_host(tensors: Sequence[torch.Tensor]) -> list[np.ndarray]:
-  """Return copies of tensors as arrays, in one transfer where they are on a device."""
-  if not tensors:
-    return []
-  if all(tensor.device.type == "cpu" for tensor in tensors):
-    return [np.array(tensor.detach().numpy()) for tensor in tensors]
-  packed = torch.cat([tensor.detach().reshape(-1).double() for tensor in tensors]).cpu().numpy()
-  arrays, start = [], 0
-  for tensor in tensors:
-    stop = start + tensor.numel()
-    arrays.append(packed[start:stop].reshape(tensor.shape))
-    start = stop
-  return arrays
+  """Return copies of tensors as arrays of doubles, in one transfer."""
+  packed = torch.cat([tensor.detach().reshape(-1).double() for tensor in tensors]).cpu()
+  parts = packed.split([tensor.numel() for tensor in tensors])
+  return [part.reshape(tensor.shape).numpy() for part, tensor in zip(parts, tensors, strict=True)]

@@ -148,7 +148,7 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
   playback = Playback(env, policy)
   playback.pause()
   taker = SnapshotTaker(env)
-  video = BackgroundVideo(wanted.video, 1.0 / frame_dt, env.sim.mj_model, picture, wait=True)
+  video = BackgroundVideo(wanted.video, 1.0 / frame_dt, env.sim.mj_model, picture)
   try:
     for frame in range(frames):
       for _ in range(steps if frame else 0):

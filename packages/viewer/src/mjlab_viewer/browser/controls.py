@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import html
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import viser
 from mjlab_core import MjlabError
 
-from mjlab_viewer.browser.inputs import Buttons, Values
+from mjlab_viewer.browser.inputs import Inputs
 from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.time_line import TimeLine
@@ -28,12 +28,12 @@ class WorldControls:
 
   def __init__(self, server: viser.ViserServer, env: ViewedEnv, selection: Selection, scene: BrowserScene) -> None:
     gui = server.gui
-    self.values = Values()
+    self.inputs = Inputs(server)
     self._boxes: dict[str, viser.GuiCheckboxHandle] = {}
     if env.num_envs > 1:
       with gui.add_folder("Worlds"):
         world = gui.add_slider("World", min=0, max=env.num_envs - 1, step=1, initial_value=selection.world)
-        self.values.on_change(lambda: world.value, lambda: setattr(selection, "world", int(world.value)))
+        self.inputs.on_change(lambda: world.value, lambda: setattr(selection, "world", int(world.value)))
         shown = gui.add_slider(
           "Shown",
           min=1,
@@ -42,7 +42,7 @@ class WorldControls:
           initial_value=selection.count,
           hint="This world and those after it",
         )
-        self.values.on_change(lambda: shown.value, lambda: setattr(selection, "count", int(shown.value)))
+        self.inputs.on_change(lambda: shown.value, lambda: setattr(selection, "count", int(shown.value)))
     with gui.add_folder("Camera"):
       follow = gui.add_checkbox("Follow", initial_value=scene.scene.camera_tracking_enabled)
       degrees = round(np.rad2deg(server.initial_camera.fov))
@@ -66,8 +66,8 @@ class WorldControls:
         for client in server.get_clients().values():
           client.camera.fov = fov
 
-      self.values.on_change(lambda: follow.value, move)
-      self.values.on_change(lambda: angle.value, zoom)
+      self.inputs.on_change(lambda: follow.value, move)
+      self.inputs.on_change(lambda: angle.value, zoom)
     known, on = env.drawers(), env.default_drawers()
     if known:
       with gui.add_folder("Draw"):
@@ -96,28 +96,23 @@ class PlaybackControls:
     self._episode_end = EpisodeEnd(playback.env, selection)
     playback.on_step.append(self._episode_end.update)
     self._gui = gui = server.gui
-    self.values, self.buttons = Values(), Buttons(server)
+    self.inputs = Inputs(server)
     self._status = gui.add_html("")
     self._shown_status = ""
     self._notified: str | None = None
-    self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
-    self._request(self._pause, self._toggle)
-    self._request(gui.add_button("Step", icon=viser.Icon.PLAYER_TRACK_NEXT, hint="One step, while paused"), self._step)
-    self._request(gui.add_button("Reset", icon=viser.Icon.REFRESH), self._reset)
+    self._pause = self._add_action("Pause", viser.Icon.PLAYER_PAUSE, "space", playback.toggle)
+    self._add_action(
+      "Step", viser.Icon.PLAYER_TRACK_NEXT, "arrowright", playback.step_once, hint="One step, while paused"
+    )
+    self._add_action("Reset", viser.Icon.REFRESH, "enter", playback.reset)
     speeds = {_ratio(speed): speed for speed in sorted({*SPEEDS, playback.speed})}
     speed = gui.add_dropdown("Speed", list(speeds), initial_value=_ratio(playback.speed))
-    self.values.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
-    self._time = TimeLine(gui, playback, self.values)
+    self.inputs.on_change(lambda: speed.value, lambda: setattr(playback, "speed", speeds[speed.value]))
+    self._time = TimeLine(gui, playback, self.inputs)
     # The history is of the worlds that were shown then.
-    self.values.on_change(lambda: selection.worlds, self._time.to_now)
+    self.inputs.on_change(lambda: selection.worlds, self._time.to_now)
     self._record = gui.add_button("Record", icon=viser.Icon.PLAYER_RECORD)
-    self.buttons.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
-    for command, action in (
-      (gui.add_command("Pause", hotkey="space"), self._toggle),
-      (gui.add_command("Step", hotkey="arrowright"), self._step),
-      (gui.add_command("Reset", hotkey="enter"), self._reset),
-    ):
-      command.on_trigger(lambda _, action=action: playback.request(action))
+    self.inputs.on_press(self._record, lambda client: playback.request(lambda: self._toggle_recording(client)))
     self._add_pushes()
     for name, command in playback.env.steering().items():
       self._add_command(name, command)
@@ -165,22 +160,26 @@ class PlaybackControls:
         self._notify("Paused", playback.error, "red")
 
   def _request(self, button: viser.GuiButtonHandle, action: Callable[[], None]) -> None:
-    self.buttons.on_press(button, lambda _: self._playback.request(action))
+    self.inputs.on_press(button, lambda _: self._playback.request(action))
 
-  def _toggle(self) -> None:
-    if self._playback.paused:
+  def _add_action(
+    self,
+    name: str,
+    icon: viser.IconName,
+    hotkey: Literal["space", "arrowright", "enter"],
+    action: Callable[[], None],
+    hint: str | None = None,
+  ) -> viser.GuiButtonHandle:
+    """Add a button and a key that return to now and act."""
+
+    def act() -> None:
       self._time.to_now()
-      self._playback.resume()
-    else:
-      self._playback.pause()
+      action()
 
-  def _step(self) -> None:
-    self._time.to_now()
-    self._playback.step_once()
-
-  def _reset(self) -> None:
-    self._time.to_now()
-    self._playback.reset()
+    button = self._gui.add_button(name, icon=icon, hint=hint)
+    self._request(button, act)
+    self._gui.add_command(name, hotkey=hotkey).on_trigger(lambda _: self._playback.request(act))
+    return button
 
   def _add_pushes(self) -> None:
     env = self._playback.env
@@ -197,13 +196,13 @@ class PlaybackControls:
         world = self._selection.world
         self._playback.request(lambda: push(env, world, (x, y, z)))
 
-      self.buttons.on_press(buttons, act)
+      self.inputs.on_press(buttons, act)
 
   def _add_command(self, name: str, command: Any) -> None:
     with self._gui.add_folder(f"Command {name}"):
       manual = self._gui.add_checkbox("Manual", initial_value=False, hint="In the selected world")
-      zeros = [_zero(lower, upper) for _, lower, upper in command.axes]
-      axes = [self._add_axis(label, lower, upper, _zero(lower, upper)) for label, lower, upper in command.axes]
+      axes = [self._add_axis(*axis) for axis in command.axes]
+      zeros = [axis.value for axis in axes]
       stop = self._gui.add_button("Stop", hint="All to zero")
 
     def given() -> tuple[int, list[float]] | None:
@@ -214,10 +213,11 @@ class PlaybackControls:
         axis.value = value
 
     manual_command = ManualCommand(command)
-    self.values.on_change(given, lambda: self._playback.request(lambda: manual_command.set(given())))
+    self.inputs.on_change(given, lambda: self._playback.request(lambda: manual_command.set(given())))
     self._request(stop, zero)
 
-  def _add_axis(self, label: str, lower: float, upper: float, value: float) -> viser.GuiInputHandle[float]:
+  def _add_axis(self, label: str, lower: float, upper: float) -> viser.GuiInputHandle[float]:
+    value = _zero(lower, upper)
     if lower == upper:
       return self._gui.add_number(label, value, disabled=True, hint="Fixed")
     return self._gui.add_slider(label, min=lower, max=upper, step=(upper - lower) / 100, initial_value=value)
@@ -238,7 +238,7 @@ class PlaybackControls:
         choice.options = known()
         choice.value = choice.options[-1]
 
-      self.values.on_change(lambda: choice.value, load)
+      self.inputs.on_change(lambda: choice.value, load)
       self._request(newest, refresh)
 
   def _toggle_recording(self, client: viser.ClientHandle | None) -> None:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import viser
 
-from mjlab_viewer.browser.inputs import Values
+from mjlab_viewer.browser.inputs import Inputs
 from mjlab_viewer.browser.mjviser_scene import MujocoScene
 
 _MOST_OWNERS = 3
@@ -20,13 +20,13 @@ class GroupControls:
   """Check box for each group of geoms, sites, joints, tendons and actuators that is not empty.
 
   Args:
-    gui: Place for the boxes.
+    server: Server of the page.
     scene: Scene of the selected world.
   """
 
-  def __init__(self, gui: viser.GuiApi, scene: MujocoScene) -> None:
-    self.values = Values()
-    self._gui, model = gui, scene.mj_model
+  def __init__(self, server: viser.ViserServer, scene: MujocoScene) -> None:
+    self.inputs = Inputs(server)
+    self._gui, model = server.gui, scene.mj_model
     geoms, sites = list(scene.geom_groups_visible), list(scene.site_groups_visible)
 
     def show(groups: list[bool], group: int, on: bool) -> None:
@@ -59,7 +59,7 @@ class GroupControls:
       for group, label in labels.items():
         count = int((groups == group).sum())
         box = self._gui.add_checkbox(label, shown[group], hint=f"MuJoCo's group {group}, {count} {folder.lower()}")
-        self.values.on_change(partial(getattr, box, "value"), lambda group=group, box=box: show(group, box.value))
+        self.inputs.on_change(partial(getattr, box, "value"), lambda group=group, box=box: show(group, box.value))
 
 
 def geom_labels(model: mujoco.MjModel) -> dict[int, str]:

@@ -1,4 +1,4 @@
-"""Values and presses of the page's inputs, brought to the thread that owns the environment."""
+"""Inputs of the page, with their actions."""
 
 from __future__ import annotations
 
@@ -10,41 +10,23 @@ import viser
 Button: TypeAlias = "viser.GuiButtonHandle | viser.GuiButtonGroupHandle"
 
 
-class Values:
-  """Values of inputs, with an action for each change.
+class Inputs:
+  """Values and buttons of a part of the page, with an action for each change and for each press.
 
-  They are read regularly, without viser's callbacks: the page shows its inputs before it reports its camera, and until
-  then viser stores new values but calls nothing.
-  """
-
-  def __init__(self) -> None:
-    self._watched: list[tuple[Callable[[], object], Callable[[], None]]] = []
-    self._seen: list[object] = []
-
-  def on_change(self, value: Callable[[], object], action: Callable[[], None]) -> None:
-    """Call `action` after this value changed."""
-    self._watched.append((value, action))
-    self._seen.append(value())
-
-  def read(self) -> None:
-    """Call the actions of values that changed since the last call."""
-    for row, (value, action) in enumerate(self._watched):
-      now = value()
-      if now != self._seen[row]:
-        self._seen[row] = now
-        action()
-
-
-class Buttons:
-  """Presses of buttons, with one action for each press.
-
-  Before the page has reported its camera, viser stores the time of a press but calls nothing. Therefore these times are
-  read too, in viser's own thread, where no press can come in between.
+  The page shows its inputs before it reports its camera. Until then viser stores new values and times of presses, but
+  calls nothing. Therefore both are read regularly.
   """
 
   def __init__(self, server: viser.ViserServer) -> None:
     self._server = server
+    self._watched: list[tuple[Callable[[], object], Callable[[], None]]] = []
+    self._seen: list[object] = []
     self._presses: list[Callable[[], None]] = []
+
+  def on_change(self, value: Callable[[], object], action: Callable[[], None]) -> None:
+    """Call `action` in `read`, after this value changed."""
+    self._watched.append((value, action))
+    self._seen.append(value())
 
   def on_press(self, button: Button, action: Callable[[viser.ClientHandle | None], None]) -> None:
     """Call `action` at once, in viser's thread, with the client that pressed, if it is known."""
@@ -63,9 +45,12 @@ class Buttons:
     self._presses.append(press)
 
   def read(self) -> None:
-    """Call the actions of presses that viser did not report."""
-    self._server.get_event_loop().call_soon_threadsafe(self._look)
-
-  def _look(self) -> None:
+    """Call the actions of values that changed since the last call, and of presses that viser did not report."""
+    for row, (value, action) in enumerate(self._watched):
+      now = value()
+      if now != self._seen[row]:
+        self._seen[row] = now
+        action()
+    # In viser's thread, no press can come in between.
     for press in self._presses:
-      press()
+      self._server.get_event_loop().call_soon_threadsafe(press)

@@ -50,14 +50,12 @@ class Recorder:
     return self._video is not None
 
   def start(self) -> Path:
-    """Start a film, and return its path; a film that is being made goes on."""
-    if self._video is None:
-      path = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}.mp4"
-      contacts = self._scene.scene.show_contact_points or self._scene.scene.show_contact_forces
-      cfg = PictureCfg(camera=self._camera, contacts=contacts)
-      # It waits for room: a film that lacks frames is too fast.
-      self._video = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, cfg, wait=True)
-    return self._video.file.path
+    """Start a film, and return its path."""
+    path = self._folder / f"{datetime.now():%Y-%m-%d_%H-%M-%S-%f}.mp4"
+    contacts = self._scene.scene.show_contact_points or self._scene.scene.show_contact_forces
+    cfg = PictureCfg(camera=self._camera, contacts=contacts)
+    self._video = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, cfg)
+    return path
 
   def stop(self) -> Path:
     """Finish the film, and return its path.

@@ -52,7 +52,7 @@ class Selection:
   @property
   def worlds(self) -> tuple[int, ...]:
     """The selected world and those after it; world 0 follows the last."""
-    return tuple((self.world + i) % self.num_envs for i in range(min(self.count, self.num_envs)))
+    return tuple((self.world + i) % self.num_envs for i in range(self.count))
 
 
 class BrowserScene:

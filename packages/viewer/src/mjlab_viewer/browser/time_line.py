@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from mjlab_viewer.browser.inputs import Values
+from mjlab_viewer.browser.inputs import Inputs
 from mjlab_viewer.playback import Playback
 from mjlab_viewer.replay import Replay
 
@@ -20,10 +20,10 @@ class TimeLine:
   Args:
     gui: Place for the slider.
     playback: Steps the environment.
-    values: Inputs that are read in the thread that owns the environment.
+    inputs: Inputs that are read in the thread that owns the environment.
   """
 
-  def __init__(self, gui: viser.GuiApi, playback: Playback, values: Values) -> None:
+  def __init__(self, gui: viser.GuiApi, playback: Playback, inputs: Inputs) -> None:
     self._playback, env = playback, playback.env
     self._replay = env if isinstance(env, Replay) else None
     if self._replay is None:
@@ -39,7 +39,7 @@ class TimeLine:
     else:
       end = max(self._replay.num_steps - 1, 1) * env.step_dt
       self.slider = gui.add_slider("Time [s]", min=0.0, max=end, step=env.step_dt, initial_value=0.0)
-      values.on_change(lambda: self.slider.value, self._moved)
+      inputs.on_change(lambda: self.slider.value, self._moved)
     self._shown = 0.0
 
   @property

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import viser
 
-from mjlab_viewer.browser.inputs import Buttons
+from mjlab_viewer.browser.inputs import Inputs
 
 _POINTS = 200
 """Greatest number of rewards in the small curve."""
@@ -28,9 +28,9 @@ class TrainingPanel:
     self._table = server.gui.add_markdown("", visible=False)
     self._on_stop = on_stop
     self._stop = server.gui.add_button("Save and stop", icon=viser.Icon.PLAYER_STOP)
-    self.buttons = Buttons(server)
+    self.inputs = Inputs(server)
     """The button, read by the viewer."""
-    self.buttons.on_press(self._stop, lambda _: self._press())
+    self.inputs.on_press(self._stop, lambda _: self._press())
 
   def show(
     self,

@@ -124,13 +124,9 @@ class BrowserViewer:
     self._due["frame"] = now + FRAME
     try:
       # Inputs of a page that was closed count too; the world is selected before its commands are set.
-      self._worlds.values.read()
-      self._groups.values.read()
-      if self._controls is not None:
-        self._controls.values.read()
-        self._controls.buttons.read()
-      if self.training is not None:
-        self.training.buttons.read()
+      for part in (self._worlds, self._groups, self._controls, self.training):
+        if part is not None:
+          part.inputs.read()
       if not self.server.get_clients():
         return
       self._show(now)
@@ -147,11 +143,7 @@ class BrowserViewer:
   def run(self, until: Callable[[], bool] = lambda: False) -> None:
     """Step and show until `until` returns True, with a playback; call it in the thread that owns the environment."""
     assert self.playback is not None
-    while not until():
-      steps = self.playback.tick()
-      self.update()
-      if not steps:
-        time.sleep(0.002)
+    self.playback.run(self.update, until)
 
   def close(self) -> None:
     """Stop serving, and finish a film that is being made. Calling it again does nothing."""
@@ -192,7 +184,7 @@ class BrowserViewer:
     with tabs.add_tab("Overlays"):
       scene.scene.create_overlay_gui()
     with tabs.add_tab("Groups"):
-      self._groups = GroupControls(gui, scene.scene)
+      self._groups = GroupControls(self.server, scene.scene)
 
   def _show(self, now: float) -> None:
     back = self._controls.seconds_back if self._controls is not None else 0.0

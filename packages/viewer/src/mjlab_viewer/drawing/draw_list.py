@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import torch
 from mjlab_core.rotations import matrix_from_quat
 
 if TYPE_CHECKING:
+  from numpy.typing import ArrayLike
+
   Array: TypeAlias = "torch.Tensor | np.ndarray"
   Color: TypeAlias = "tuple[float, float, float, float] | Array"
 
@@ -51,7 +53,7 @@ class DrawList:
 
   def __init__(self, worlds: Sequence[int] = (0,)) -> None:
     self._worlds = tuple(worlds)
-    self._batches: list[tuple[ShapeKind, str, list[Array]]] = []
+    self._batches: list[tuple[ShapeKind, str, tuple[Any, ...]]] = []
     self.shapes: list[Shapes] = []
     """Drawn shapes, after `finish`."""
 
@@ -61,13 +63,13 @@ class DrawList:
     return self._worlds
 
   def arrows(self, start: Array, end: Array, color: Color, radius: float | Array) -> None:
-    self._add("arrow", "", start, end, _color(color), _radius(radius))
+    self._add("arrow", start, end, color, _column(radius))
 
   def lines(self, start: Array, end: Array, color: Color, radius: float | Array) -> None:
-    self._add("line", "", start, end, _color(color), _radius(radius))
+    self._add("line", start, end, color, _column(radius))
 
   def spheres(self, center: Array, radius: float | Array, color: Color) -> None:
-    self._add("ellipsoid", "", center, _UPRIGHT, _color(color), _radius(radius))
+    self._add("ellipsoid", center, _UPRIGHT, color, _column(radius))
 
   def frames(self, position: Array, quaternion: Array, size: float) -> None:
     # Rotated on the device, so that the axes come to the host with everything else.
@@ -77,10 +79,10 @@ class DrawList:
       self.lines(position, position + size * axis, color, 0.05 * size)
 
   def ellipsoids(self, center: Array, quaternion: Array, radii: Array, color: Color) -> None:
-    self._add("ellipsoid", "", center, quaternion, _color(color), radii)
+    self._add("ellipsoid", center, quaternion, color, radii)
 
   def meshes(self, mesh_name: str, position: Array, quaternion: Array, color: Color) -> None:
-    self._add("mesh", mesh_name, position, quaternion, _color(color), _radius(1.0))
+    self._add("mesh", position, quaternion, color, 1.0, mesh_name)
 
   @property
   def pending(self) -> list[torch.Tensor]:
@@ -90,16 +92,15 @@ class DrawList:
   def finish(self, arrived: Iterator[np.ndarray]) -> None:
     """Make `shapes`; `arrived` yields the `pending` tensors as arrays."""
     for kind, mesh, arrays in self._batches:
-      first, second, color, size = (
-        next(arrived) if isinstance(array, torch.Tensor) else np.asarray(array) for array in arrays
-      )
-      shapes = _shapes(kind, mesh, first, second, color, size)
+      shapes = _shapes(kind, mesh, *(next(arrived) if isinstance(array, torch.Tensor) else array for array in arrays))
       if len(shapes):
         self.shapes.append(shapes)
     self._batches.clear()
 
-  def _add(self, kind: ShapeKind, mesh: str, *arrays: Array) -> None:
-    self._batches.append((kind, mesh, list(arrays)))
+  def _add(
+    self, kind: ShapeKind, first: Array, second: Array, color: Color, size: float | Array, mesh: str = ""
+  ) -> None:
+    self._batches.append((kind, mesh, (first, second, color, size)))
 
 
 _Z = np.array([0.0, 0.0, 1.0], dtype=float)
@@ -107,16 +108,12 @@ _UPRIGHT = np.array([[1.0, 0.0, 0.0, 0.0]])
 _AXIS_COLORS = ((0.9, 0.2, 0.2, 1.0), (0.2, 0.8, 0.2, 1.0), (0.2, 0.3, 0.9, 1.0))
 
 
-def _color(color: Color) -> Array:
-  return color if isinstance(color, torch.Tensor | np.ndarray) else np.array([color], dtype=float)
-
-
-def _radius(radius: float | Array) -> Array:
-  return radius.reshape(-1, 1) if isinstance(radius, torch.Tensor | np.ndarray) else np.array([[radius]], dtype=float)
+def _column(radius: float | Array) -> float | Array:
+  return radius.reshape(-1, 1) if isinstance(radius, torch.Tensor | np.ndarray) else radius
 
 
 def _shapes(
-  kind: ShapeKind, mesh: str, first: np.ndarray, second: np.ndarray, color: np.ndarray, size: np.ndarray
+  kind: ShapeKind, mesh: str, first: ArrayLike, second: ArrayLike, color: ArrayLike, size: ArrayLike
 ) -> Shapes:
   position = np.asarray(first, dtype=float).reshape(-1, 3)
   n = len(position)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import re
 import threading
-import time
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -85,7 +84,7 @@ class NativeViewer:
     self._dragged: tuple[int, int] | None = None
     """World and body that is dragged."""
     self._actions: dict[int, Callable[[], None]] = {
-      ord(" "): self._toggle,
+      ord(" "): playback.toggle,
       _ENTER: playback.reset,
       _RIGHT: playback.step_once,
       ord("-"): lambda: playback.faster(-1),
@@ -100,11 +99,7 @@ class NativeViewer:
 
   def run(self, until: Callable[[], bool] = lambda: False) -> None:
     """Step and show until the window is closed or `until` returns True."""
-    while self.window.is_running() and not until():
-      steps = self.playback.tick()
-      self.update()
-      if not steps:
-        time.sleep(0.002)
+    self.playback.run(self.update, lambda: until() or not self.window.is_running())
 
   def update(self) -> None:
     """Show a picture if one is due."""
@@ -167,12 +162,6 @@ class NativeViewer:
     if figures or self._is_plotting:
       self.window.set_figures(figures)
     self._is_plotting = bool(figures)
-
-  def _toggle(self) -> None:
-    if self.playback.paused:
-      self.playback.resume()
-    else:
-      self.playback.pause()
 
   def _select(self, world: int) -> None:
     self.selected = world % self.env.num_envs

@@ -42,11 +42,11 @@ class TrainingVideo:
     if not 1 <= length <= interval:
       raise MjlabError(f"the length of a film must be from 1 to their interval ({interval}), got {length}")
     self._env, self._folder = env, folder
-    self._interval, self._length, self._cfg = interval, length, cfg
+    self._interval, self._length = interval, length
     self._taker = SnapshotTaker(env, contacts=cfg is not None and cfg.contacts)
     self._worlds = range(min(env.num_envs, MOST_TILES))
     self._step = 0
-    self._film: BackgroundVideo | None = None
+    self._film = BackgroundVideo(self._path(0), 1.0 / env.step_dt, env.sim.mj_model, cfg)
     self.is_off = False
     """True after filming has stopped because of an error."""
 
@@ -56,9 +56,6 @@ class TrainingVideo:
     self._step += 1
     if self.is_off or phase >= self._length:
       return
-    if self._film is None:
-      path = self._path(self._step - 1)
-      self._film = BackgroundVideo(path, 1.0 / self._env.step_dt, self._env.sim.mj_model, self._cfg)
     try:
       snapshot = self._taker.take(self._worlds, drawers=self._env.default_drawers(), apart=True)
     except Exception as error:
@@ -73,11 +70,9 @@ class TrainingVideo:
 
   def close(self) -> None:
     """Wait until all films are written."""
-    if self._film is not None:
-      self._film.close()
-      if self._film.error is not None and not self.is_off:
-        self._give_up(str(self._film.error))
-      self._film = None
+    self._film.close()
+    if self._film.error is not None and not self.is_off:
+      self._give_up(str(self._film.error))
 
   def _path(self, step: int) -> Path:
     return self._folder / f"step_{step}.mp4"

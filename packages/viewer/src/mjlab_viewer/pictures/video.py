@@ -78,34 +78,23 @@ _ROOM = 32
 
 
 class BackgroundVideo:
-  """Renders and encodes snapshots in a thread of its own, so that the simulation does not wait.
+  """Renders and encodes snapshots in a separate thread, so that the simulation does not wait.
 
   One thread and one renderer serve any number of films, one after another. If rendering fails, `error` holds the
-  exception and nothing is raised. If the thread cannot keep up, `add` waits with `wait`. Otherwise it drops frames and
-  counts them in `num_dropped`; the frame before is shown for their time, so that the film keeps its length.
+  exception and nothing is raised.
 
   Args:
     path: Path of the mp4.
     fps: Frames per second.
     model: The simulation's model; copied.
     cfg: Size and content of pictures.
-    wait: True makes `add` wait for room.
   """
 
   def __init__(
-    self,
-    path: str | os.PathLike[str],
-    fps: float,
-    model: mujoco.MjModel,
-    cfg: PictureCfg | None = None,
-    *,
-    wait: bool = False,
+    self, path: str | os.PathLike[str], fps: float, model: mujoco.MjModel, cfg: PictureCfg | None = None
   ) -> None:
     self.file = VideoFile(path, fps)
     self.error: Exception | None = None
-    self.num_dropped = 0
-    self._is_finished = False
-    self._wait = wait
     self._missed = 0
     self._fps = fps
     # A snapshot, the next film, or the end; with the number of frames that were dropped before it.
@@ -113,18 +102,13 @@ class BackgroundVideo:
     self._thread = threading.Thread(target=self._run, args=(model, cfg), name="video", daemon=True)
     self._thread.start()
 
-  def add(self, snapshot: Snapshot, *, wait: bool = False) -> None:
-    """Add a frame; `wait` makes this one wait for room."""
+  def add(self, snapshot: Snapshot, *, wait: bool = True) -> None:
+    """Add a frame. If the thread cannot keep up, wait, or without `wait` show the previous frame for longer."""
     if self.error is not None:
       return
-    if self._wait or wait:
+    if wait or not self._queue.full():
       self._put(snapshot)
-      return
-    try:
-      self._queue.put_nowait((snapshot, self._missed))
-      self._missed = 0
-    except queue.Full:
-      self.num_dropped += 1
+    else:
       self._missed += 1
 
   def begin(self, path: str | os.PathLike[str]) -> None:
@@ -134,8 +118,7 @@ class BackgroundVideo:
 
   def close(self) -> Path | None:
     """Wait for all frames, finish the file, and return its path, or None if there is no file."""
-    if not self._is_finished:
-      self._is_finished = True
+    if self._thread.is_alive():
       self._put(None)
     self._thread.join()
     return self.file.path if self.error is None and self.file.num_frames else None
