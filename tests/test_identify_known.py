@@ -26,6 +26,6 @@ def test_a_short_record_of_the_yam_tells_a_stiffness_and_a_mass() -> None:
   yam = identify_known.ROBOTS["yam"]
   short = dataclasses.replace(yam, factors={"stiffness:joint2": 0.8, "body_mass:link_4": 1.5})
   found = identify_known.found_in(short, [identify_known.sine_record(short, 0, 1.5)], IdentifyCfg(window=0.12))
-  assert found.told.all()
+  assert all(estimate.identifiable for estimate in found.estimates)
   wanted = [*short.factors.values(), identify_known.DELAY * identify_known.TIMESTEP]
   np.testing.assert_allclose(found.numbers, wanted, rtol=0.05)

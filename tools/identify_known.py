@@ -48,7 +48,7 @@ DELAY_TERM = "delay:.*=0..0.03,shared"
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-  """A robot, and the parameters that are to be found."""
+  """Robot with parameters to find."""
 
   robot: Callable[[], Robot]
   """Function that returns the robot as its model has it."""
@@ -203,7 +203,7 @@ def sine_record(known: Known, seed: int, seconds: float) -> Record:
 
 
 def designed(known: Known, seconds: float) -> np.ndarray:
-  """Return commands that tell the parameters well, (rows, joints), and print what they gain."""
+  """Return commands that identify the parameters well, (rows, joints), and print their information."""
   cfg = ExcitationCfg(seconds=seconds, period=TIMESTEP * SUBSTEPS, highest=known.highest, rounds=2, candidates=4)
   terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
   found = design_excitation(known.robot(), terms, cfg, joints=known.joints)
@@ -212,7 +212,7 @@ def designed(known: Known, seconds: float) -> np.ndarray:
 
 
 def found_in(known: Known, records: Sequence[Record], cfg: IdentifyCfg | None = None) -> Identified:
-  """Return what is found in records; another one is held out."""
+  """Return the parameters found in records; another record is held out."""
   terms = [parse_term(text) for text in (*known.factors, DELAY_TERM)]
   return identify(known.robot(), records, terms, cfg, held_out=[sine_record(known, 1, 4.0)])
 
@@ -250,13 +250,13 @@ def main() -> None:
   found = found_in(known, records, IdentifyCfg(engine=args.engine, device=args.device))
   spent = time.process_time() - begin[0], time.monotonic() - begin[1]
   rows = []
-  for place, parameter in enumerate(found.parameters):
-    true, number = known.factors.get(parameter.name, DELAY * TIMESTEP), found.numbers[place]
-    shown = f"{100.0 * (number / true - 1.0):+.1f}" if found.told[place] else found.reasons[place]
-    std = f"{100.0 * found.spread[place] / true:.1f}" if found.told[place] else "-"
-    rows.append((parameter.name, f"{true:g}", f"{number:.4g}", shown, std))
+  for estimate in found.estimates:
+    name, number = estimate.parameter.name, estimate.number
+    true = known.factors.get(name, DELAY * TIMESTEP)
+    shown = f"{100.0 * (number / true - 1.0):+.1f}", f"{100.0 * estimate.std / true:.1f}"
+    rows.append((name, f"{true:g}", f"{number:.4g}", *(shown if estimate.identifiable else (estimate.reason, "-"))))
   print(table(("parameter", "true", "found", "error [%]", "std [%]"), rows))
-  errors = [(score.record, score.joint, f"{score.before:.4f}", f"{score.after:.4f}") for score in found.scores]
+  errors = [(trace.record, trace.joint, *(f"{error:.4f}" for error in trace.errors)) for trace in found.traces]
   print(table(("record", "joint", "error before [rad]", "after [rad]"), errors))
   if args.report:
     write_report(found, args.report)

@@ -67,7 +67,7 @@ def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
 ) -> None:
   cfg, _, found = leg
   found.save(tmp_path / "identified.json")
-  assert found.told.all(), found.reasons
+  assert [estimate.reason for estimate in found.estimates] == [""] * len(TERMS)
   assert found.value(f"delay:({THIGH}|{CALF})") == pytest.approx(0.01, rel=0.05)
   plain = cfg.build("robot").spec.compile()
   cfg.overlay = str(tmp_path / "identified.json")
@@ -87,7 +87,7 @@ def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
   assert entity.actuators is not None
   lags = {cfg.target_names_expr: (cfg.delay_min_lag, cfg.delay_max_lag) for cfg in entity.actuators.cfgs}
   assert set(lags.values()) == {(2, 2)}
-  assert entity.overlay.encoder_bias[CALF] == pytest.approx(0.0, abs=4.0 * found.spread[-1])
+  assert entity.overlay.encoder_bias[CALF] == pytest.approx(0.0, abs=4.0 * found.information.std[-1])
 
 
 def test_the_flag_of_any_command_applies_the_overlay(leg: tuple[EntityCfg, Record, Identified], tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg,
   low, high = armature.support()
   value = found.value(f"dof_armature:{CALF}")
   assert low < value < high
-  assert high - value == pytest.approx(2.0 * found.spread[0])
+  assert high - value == pytest.approx(2.0 * found.information.std[0])
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def changed(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
 
 
 def sines(robot: Robot, seed: int, seconds: float, size: float = 0.12) -> np.ndarray:
-  """Set-points at every row: sums of sines about the pose that begin there."""
+  """Targets at every row: sums of sines about the pose that begin there."""
   random = np.random.default_rng(seed)
   addresses, _ = robot.addresses(robot.joints)
   count = len(robot.joints)
@@ -95,7 +95,7 @@ def record(
 ) -> Record:
   """Record of a model, stepped alone; `delay` in timesteps, `bias` of all encoders; signal "imu" is both of it.
 
-  `law` of set-points, positions and velocities gives the controls of motors; without it set-points are controls.
+  `law` of targets, positions and velocities gives the controls of motors; without it targets are controls.
   """
   data = mujoco.MjData(model)
   data.qpos[:] = robot.pose

@@ -36,7 +36,7 @@ def of_joints(made: Record) -> dict[str, np.ndarray]:
 
 
 def numbers(found: Identified) -> dict[str, float]:
-  return {parameter.name: float(number) for parameter, number in zip(found.parameters, found.numbers, strict=True)}
+  return {estimate.parameter.name: estimate.number for estimate in found.estimates}
 
 
 def agree(found: Identified, wanted: Mapping[str, float], share: float) -> None:
@@ -55,31 +55,31 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
   made = [record(robot, true, sines(robot, seed, 2.0), source=str(seed), **more) for seed in (0, 1)]
   found = fit(robot, made[:1], *TERMS, "delay:.*,shared", cfg=IdentifyCfg(), held_out=made[1:])
   agree(found, FACTORS | {"delay:.*": 0.007}, 0.05)
-  assert found.told.all()
-  held_out = [score for score in found.scores if score.is_held_out]
-  assert {score.record for score in held_out} == {"1"}
-  for score in held_out:
-    assert score.after < 1e-3 < 5e-3 < score.before
+  assert all(estimate.identifiable for estimate in found.estimates)
+  held_out = [trace for trace in found.traces if trace.is_held_out]
+  assert {trace.record for trace in held_out} == {"1"}
+  for trace in held_out:
+    before, after = trace.errors
+    assert after < 1e-3 < 5e-3 < before
   wanted = np.array([*FACTORS.values(), 0.007])
   # The error that is stated is the error that there is, but for another timestep's.
   if timestep == true.opt.timestep:
-    assert np.abs((found.numbers - wanted) / found.spread).max() < 4.0
+    assert np.abs((found.numbers - wanted) / found.information.std).max() < 4.0
 
 
-def test_what_records_cannot_tell_is_named_and_stays() -> None:
+def test_a_parameter_that_is_not_identifiable_is_named_and_stays() -> None:
   robot = arm()
   records = [record(robot, changed(robot, FACTORS), sines(robot, 0, 1.5), noise=1e-4)]
   # Both dampers of a servo's joint act as one, and nothing reaches its limit of effort.
   found = fit(robot, records, *TERMS, "damping:hip", "effort_limit:knee=20..60")
-  told = dict(zip(numbers(found), zip(found.told, found.reasons, strict=True), strict=True))
-  assert told["effort_limit:knee"] == (False, "the records hardly depend on it")
+  reasons = {estimate.parameter.name: estimate.reason for estimate in found.estimates}
+  assert reasons["effort_limit:knee"] == "the records hardly depend on it"
   assert numbers(found)["effort_limit:knee"] == 30.0
-  twins = {name: told[name] for name in ("dof_damping:hip", "damping:hip")}
-  ((lost, (_, reason)),) = [(name, entry) for name, entry in twins.items() if not entry[0]]
-  kept = next(name for name in twins if name != lost)
-  assert reason == f"the records tell it only together with {kept}"
+  kept, lost = sorted(("dof_damping:hip", "damping:hip"), key=lambda name: len(reasons[name]))
+  assert reasons[kept] == ""
+  assert reasons[lost] == f"the records identify it only together with {kept}"
   assert numbers(found)[lost] == 1.0
-  # What is told is not spoilt by what is not: their sum is right.
+  # The sum of both is right.
   total = 0.1 * numbers(found)["dof_damping:hip"] + 0.5 * numbers(found)["damping:hip"]
   assert total == pytest.approx(0.1 * 2.0 + 0.5, rel=0.01)
   assert numbers(found)["dof_armature:hip"] == pytest.approx(1.6, rel=0.01)
@@ -91,7 +91,7 @@ def test_contact_friction_is_found_where_a_foot_slides() -> None:
   true = changed(robot, {"geom_friction:foot": 0.5})
   made = record(robot, true, sines(robot, 2, 1.0, size=0.05), noise=1e-5)
   found = fit(robot, [made], "geom_friction:foot", cfg=IdentifyCfg(window=0.1))
-  assert found.told.all()
+  assert all(estimate.identifiable for estimate in found.estimates)
   assert found.value("geom_friction.sliding:foot") == pytest.approx(0.5, rel=0.05)
 
 
@@ -136,7 +136,7 @@ def test_an_effort_limit_and_a_gain_are_found_where_the_limit_is_reached() -> No
   made = record(robot, true, sines(robot, 4, 1.0, size=0.4))
   found = fit(robot, [made], "effort_limit:hip=2..30", "damping:knee")
   # Nothing changes near the prior of 30, which is never reached.
-  assert found.told.all()
+  assert all(estimate.identifiable for estimate in found.estimates)
   agree(found, {"effort_limit:hip": 4.5, "damping:knee": 1.8}, 0.01)
 
 
@@ -186,7 +186,7 @@ def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
   made = record(robot, changed(robot, FACTORS), sines(robot, 0, 1.0))
   found = fit(robot, [made], *TERMS, on_iteration=lambda progress: progress.iteration == 2)
   assert found.stopped
-  assert all(score.after < score.before for score in found.scores)
+  assert all(after < before for before, after in (trace.errors for trace in found.traces))
 
 
 @pytest.mark.parametrize(
@@ -201,7 +201,7 @@ def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
     (["armature:hip", "dof_armature:.*"], "dof_armature of 'hip' is named twice"),
     (
       ["pseudo_inertia.alpha:shank", "body_mass:shank=0.1..1"],
-      "body_mass of 'shank' is also written by pseudo_inertia",
+      "body_mass of body 'shank' is also written by pseudo_inertia",
     ),
     (["armature:hip=-1..1"], "below the physical minimum 0"),
     (["geom_matid:foot"], "it is a choice"),
@@ -277,8 +277,8 @@ def test_an_imu_on_a_limb_tells_its_damping_without_encoders_of_velocity() -> No
   plain = fit(robot, [encoders], "viscous_damping:knee", "body_mass:shank")
   agree(found, factors, 0.03)
   # The gyro and the accelerometer tell more than encoders alone.
-  assert (found.spread < 0.7 * plain.spread).all()
-  assert {score.joint for score in found.scores} > {"hip", "angular_velocity/x [rad/s]"}
+  assert (found.information.std < 0.7 * plain.information.std).all()
+  assert {trace.joint for trace in found.traces} > {"hip", "angular_velocity/x [rad/s]"}
   with pytest.raises(MjlabError, match=r"site 'top' does not exist\. Nearest: tip"):
     arm(imu="top")
   held = arm(imu="trunk")
@@ -292,15 +292,15 @@ def test_a_base_that_moves_begins_each_window_where_it_was_measured() -> None:
   made = record(robot, changed(robot, factors), sines(robot, 0, 1.0), noise=1e-4)
   found = fit(robot, [made], "body_mass:shank", "armature:knee", cfg=IdentifyCfg())
   agree(found, factors, 0.03)
-  shown = {score.joint: score for score in found.scores}
+  shown = {trace.joint: trace.errors for trace in found.traces}
   assert set(shown) == {
     "hip",
     "knee",
     *(f"base_position/{a} [m]" for a in "xyz"),
     *(f"base_orientation/{a} [rad]" for a in "xyz"),
   }
-  turned = shown["base_orientation/y [rad]"]
-  assert turned.after < 3e-3 < turned.before
+  before, after = shown["base_orientation/y [rad]"]
+  assert after < 3e-3 < before
   lacking = Record(source="a.csv", joints=made.joints, time=made.time, signals=of_joints(made))
   with pytest.raises(
     MjlabError, match=r"a\.csv: the base moves, so the record needs base_position and base_orientation"

@@ -25,7 +25,7 @@ def test_warp_gives_the_residuals_and_derivatives_of_the_native_engine() -> None
   one, other = (problem.predict(x[:, None]) for problem in (native, warp))
   for name, atol in (("position", 1e-5), ("velocity", 1e-3), ("angular_velocity", 1e-3), ("linear_acceleration", 0.05)):
     np.testing.assert_allclose(other[name], one[name], atol=atol, err_msg=name)
-  slopes, others = (problem.information(x)[0] for problem in (native, warp))
+  slopes, others = (problem.jacobian(x)[0] for problem in (native, warp))
   # Relative to the length of each column; single precision needs wider differences.
   assert (np.linalg.norm(others - slopes, axis=0) < 0.03 * np.linalg.norm(slopes, axis=0)).all()
 

@@ -1,7 +1,7 @@
 """System identification: from records of a robot to the parameters of its simulation."""
 
-from mjlab_sysid.excitation import Excitation, ExcitationCfg, Information, Peak, design_excitation
-from mjlab_sysid.identified import Identified, Score, Trace
+from mjlab_sysid.excitation import Excitation, ExcitationCfg, Peak, design_excitation
+from mjlab_sysid.identified import Estimate, Identified, Information, Trace
 from mjlab_sysid.identify import Progress, identify
 from mjlab_sysid.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
 from mjlab_sysid.motor_law import MotorLaw
@@ -13,6 +13,7 @@ from mjlab_sysid.report import write_report
 from mjlab_sysid.robot import Robot, robot_on_ground, robot_on_stand
 
 __all__ = [
+  "Estimate",
   "Excitation",
   "ExcitationCfg",
   "FitProgress",
@@ -29,7 +30,6 @@ __all__ = [
   "Range",
   "Record",
   "Robot",
-  "Score",
   "Trace",
   "check_joints",
   "design_excitation",

@@ -12,7 +12,7 @@ from mjlab_core.files import printable, reading
 from mjlab_core.lazy import from_extra
 from mjlab_core.names import check_name
 
-from mjlab_sysid.records import JOINT_SIGNALS, Record, elements, interpolated
+from mjlab_sysid.records import JOINT_SIGNALS, Record, arranged, elements, interpolated
 
 STATES, COMMANDS, IMU, BASE = "/joint_states", "/joint_commands", "/imu", "/base_pose"
 """Topics: two of `sensor_msgs/JointState` (name, position, velocity, effort), one of `sensor_msgs/Imu`, and one of
@@ -66,8 +66,8 @@ def _merged(source: str, series: dict[str, list[tuple[float, Any]]]) -> Record:
   time, measured = time[first:], {name: values[first:] for name, values in measured.items()}
   latest = np.searchsorted(sent, time, side="right") - 1
   names = tuple(dict.fromkeys((*joints, *commanded)))
-  signals = {name: _spread(values, joints, names) for name, values in measured.items()}
-  signals |= {f"{name}_target": _spread(values[latest], commanded, names) for name, values in commands.items()}
+  signals = {name: arranged(values, joints, names) for name, values in measured.items()}
+  signals |= {f"{name}_target": arranged(values[latest], commanded, names) for name, values in commands.items()}
   for topic, paths in _BODY_TOPICS.items():
     at = np.array([stamp for stamp, _ in series[topic]])
     for name, path in paths.items() if len(at) else ():
@@ -91,13 +91,6 @@ def _joint_series(
     if any(len(row) for row in rows):
       signals[name] = np.array(rows, np.float64)
   return joints, np.array([stamp for stamp, _ in messages]), signals
-
-
-def _spread(values: np.ndarray, joints: tuple[str, ...], names: tuple[str, ...]) -> np.ndarray:
-  """Columns of `joints` in their places among `names`; NaN elsewhere."""
-  out = np.full((len(values), len(names)), np.nan)
-  out[:, [names.index(joint) for joint in joints]] = values
-  return out
 
 
 def _get(message: Any, name: str, *default: Any) -> Any:

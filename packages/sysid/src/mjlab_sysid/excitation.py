@@ -1,4 +1,4 @@
-"""Design of excitations: sums of sines within the limits of a robot that make the worst-told direction better told.
+"""Design of excitations: sums of sines within the limits of a robot that improve the least identifiable direction.
 
 A candidate is scored by the smallest singular value of the Jacobian of a simulated record, in units of noise, of
 parameters in units of half their bounds, with the first states of windows marginalised as in a fit. Candidates are
@@ -17,9 +17,10 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.tables import table
 
+from mjlab_sysid.identified import Information
 from mjlab_sysid.identify import Progress
 from mjlab_sysid.parameters import FitTerm, Parameter, Range
-from mjlab_sysid.problem import PRIOR, IdentifyCfg, Problem
+from mjlab_sysid.problem import IdentifyCfg, Problem
 from mjlab_sysid.records import Record
 from mjlab_sysid.robot import Robot
 from mjlab_sysid.windows import cut
@@ -66,47 +67,34 @@ class ExcitationCfg:
 
 
 class Peak(NamedTuple):
-  """Largest values of a joint under an excitation, and their limits."""
+  """Extreme values of a signal of a joint under an excitation."""
 
   joint: str
   """Name of the joint."""
-  position: tuple[float, float]
-  """Lowest and highest position [rad or m]."""
-  position_range: tuple[float, float]
-  """Range of the joint [rad or m]."""
-  velocity: float
-  """Highest speed [rad/s or m/s]."""
-  velocity_limit: float
-  """Its limit."""
-  effort: float
-  """Largest effort [N m or N]."""
-  effort_limit: float
-  """Its limit."""
-
-
-class Information(NamedTuple):
-  """Knowledge that a record would give."""
-
-  singular_values: np.ndarray
-  """Singular values of the Jacobian in units of noise, of numbers in units of half their bounds, falling."""
-  spread: np.ndarray
-  """Standard deviations of the parameters' numbers, (parameters,)."""
+  signal: str
+  """`position`, `velocity` or `effort`."""
+  lowest: float
+  """Lowest value, in SI units."""
+  highest: float
+  """Highest value."""
+  limits: tuple[float, float]
+  """Lower and upper limit of the signal."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Excitation:
-  """Commands for a robot, and what a record of them would tell."""
+  """Commands for a robot, and the information of a record of them."""
 
   record: Record
   """Commands (`position_target`), and the positions, velocities and efforts that the model expects."""
   parameters: tuple[Parameter, ...]
   """Parameters that it is for."""
   before: Information
-  """Knowledge from one slow sine in every joint, within the same limits."""
+  """Information from one slow sine in every joint, within the same limits."""
   after: Information
-  """Knowledge from the excitation."""
+  """Information from the excitation."""
   peaks: tuple[Peak, ...]
-  """Largest values of each moved joint."""
+  """Extreme values of each moved joint."""
   stopped: bool
   """True if the search was ended early."""
 
@@ -117,27 +105,21 @@ class Excitation:
 
   def summary(self) -> str:
     """Return a table of the parameters, the smallest singular values, and a table of the limits."""
+    stds = np.stack((self.before.std, self.after.std), 1)
     rows = [
-      (
-        parameter.name,
-        *(f"{100.0 * spread[place] / parameter.half:.2g} %" for spread in (self.before[1], self.after[1])),
-      )
-      for place, parameter in enumerate(self.parameters)
+      (parameter.name, *(f"{100.0 * std / parameter.half:.2g} %" for std in of_parameter))
+      for parameter, of_parameter in zip(self.parameters, stds, strict=True)
     ]
-    smallest = (self.before.singular_values[-1], self.after.singular_values[-1])
-    limits = []
-    for peak in self.peaks:
-      reached, whole = (f"{low:.3g} .. {high:.3g}" for low, high in (peak.position, peak.position_range))
-      speed, effort = (
-        f"{peak.velocity:.3g} of {peak.velocity_limit:.3g}",
-        f"{peak.effort:.3g} of {peak.effort_limit:.3g}",
-      )
-      limits.append((peak.joint, f"{reached} of {whole}", speed, effort))
+    before, after = (information.singular_values[-1] for information in (self.before, self.after))
+    peaks = [
+      (peak.joint, peak.signal, *(f"{lo:.3g} .. {hi:.3g}" for lo, hi in ((peak.lowest, peak.highest), peak.limits)))
+      for peak in self.peaks
+    ]
     return "\n\n".join(
       (
         table(("parameter", "std, one slow sine [of half its bounds]", "std, excitation"), rows),
-        f"smallest singular value: {smallest[0]:.3g} with one slow sine, {smallest[1]:.3g} with the excitation",
-        table(("joint", "position [rad or m]", "velocity [1/s of it]", "effort [N m or N]"), limits),
+        f"smallest singular value: {before:.3g} with one slow sine, {after:.3g} with the excitation",
+        table(("joint", "signal", "reached", "limits [SI]"), peaks),
       )
     )
 
@@ -167,10 +149,10 @@ def design_excitation(
   ranges: Mapping[str, Range] | None = None,
   on_iteration: Callable[[Progress], bool | None] | None = None,
 ) -> Excitation:
-  """Return commands whose record tells parameters well, and which the model of the robot can follow within its limits.
+  """Return commands that identify parameters well, and which the model of the robot can follow within its limits.
 
-  Positions, velocities and efforts stay within `share` of their limits, and nothing touches anything that it does not
-  touch in the pose.
+  Positions, velocities and efforts stay within `share` of their limits, and there are no contacts beyond those of the
+  pose.
 
   Args:
     robot: The robot on its stand.
@@ -188,7 +170,7 @@ def design_excitation(
 
 
 class _Search:
-  """Best excitation so far, and the worlds that candidates are tried in."""
+  """Search for the best excitation, with the worlds that candidates are tried in."""
 
   def __init__(
     self,
@@ -343,22 +325,20 @@ class _Search:
     return factor
 
   def _peaks(self, record: Record) -> tuple[Peak, ...]:
-    position, velocity, effort = (record.signals[name] for name in ("position", "velocity", "effort"))
+    limits = {
+      "position": self._range,
+      "velocity": np.stack((-self._velocity, self._velocity), 1),
+      "effort": np.stack((-self._effort, self._effort), 1),
+    }
     return tuple(
-      Peak(
-        joint=name,
-        position=(float(position[:, i].min()), float(position[:, i].max())),
-        position_range=(float(self._range[i, 0]), float(self._range[i, 1])),
-        velocity=float(np.abs(velocity[:, i]).max()),
-        velocity_limit=float(self._velocity[i]),
-        effort=float(np.abs(effort[:, i]).max()),
-        effort_limit=float(self._effort[i]),
-      )
-      for i, name in enumerate(self.names)
+      Peak(name, signal, values.min().item(), values.max().item(), tuple(of_signal[column].tolist()))
+      for column, name in enumerate(self.names)
+      for signal, of_signal in limits.items()
+      for values in [record.signals[signal][:, column]]
     )
 
   def _information(self, record: Record) -> Information:
-    """Return what a record would tell about the parameters at their priors."""
+    """Return the information of a record about the parameters at their priors."""
     random, cfg = np.random.default_rng(1), self._cfg
     signals = dict(record.signals)
     del signals["effort"]
@@ -373,10 +353,7 @@ class _Search:
     problem.windows = windows
     start = np.zeros(problem.count)
     problem.marginalise(start)
-    jacobian, _ = problem.information(start)
-    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(problem.count) / PRIOR**2)
-    half = np.array([parameter.half for parameter in problem.parameters])
-    return Information(np.linalg.svd(jacobian, compute_uv=False), np.sqrt(np.diag(covariance)) * half)
+    return problem.information(problem.jacobian(start)[0], np.ones(problem.count, dtype=bool))
 
 
 def _limit(robot: Robot, name: str, joint: str, otherwise: float) -> float:

@@ -1,38 +1,63 @@
-"""Result of an identification: values, covariance, what was told, and the file that tasks read."""
+"""Result of an identification: estimates, their information, and the file that tasks read."""
 
 import json
 import math
 import re
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from mjlab_core.files import AtomicWrite
 from mjlab_core.tables import table
-from mjlab_dr import FIELDS, FieldRandomizer, Operation, randomize_field
+from mjlab_dr import FIELDS, FieldRandomizer, randomize_field
 
 from mjlab_sysid.parameters import Parameter
 
 
-@dataclass(frozen=True, kw_only=True)
-class Score:
-  """Error of the predicted positions of one joint in one record, over windows."""
+class Information(NamedTuple):
+  """Information of records about parameters."""
 
-  record: str
-  """Source of the record."""
-  joint: str
-  """Name of the joint."""
-  before: float
-  """Root mean square with the compiled parameters [rad or m]."""
-  after: float
-  """Root mean square with the fitted parameters [rad or m]."""
-  is_held_out: bool
-  """True if the record was not fitted to."""
+  singular_values: np.ndarray
+  """Singular values of the Jacobian in units of noise, of numbers in units of half their bounds, falling."""
+  covariance: np.ndarray
+  """Covariance of the numbers, (parameters, parameters); that of the prior where a parameter is not identifiable."""
+
+  @property
+  def std(self) -> np.ndarray:
+    """Standard deviations of the numbers, (parameters,)."""
+    return np.sqrt(np.diag(self.covariance))
+
+  @property
+  def correlation(self) -> np.ndarray:
+    """Correlations of the numbers, (parameters, parameters)."""
+    return self.covariance / np.outer(self.std, self.std)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trace:
+class Estimate(NamedTuple):
+  """Estimate of one parameter."""
+
+  parameter: Parameter
+  """The parameter."""
+  number: float
+  """Fitted number; the prior if the parameter is not identifiable."""
+  std: float
+  """Standard deviation of the number."""
+  reason: str
+  """Reason why the records do not identify the parameter; empty if they do."""
+
+  @property
+  def identifiable(self) -> bool:
+    """True if the records identify the parameter."""
+    return not self.reason
+
+  @property
+  def value(self) -> float:
+    """Physical value."""
+    return self.parameter.value(self.number)
+
+
+class Trace(NamedTuple):
   """Positions of one joint in one record: window after window, each from its measured state."""
 
   record: str
@@ -45,26 +70,24 @@ class Trace:
   """Positions with the compiled parameters, (rows,) [rad or m]."""
   after: np.ndarray
   """Positions with the fitted parameters, (rows,) [rad or m]."""
+  is_held_out: bool
+  """True if the record was not fitted to."""
+
+  @property
+  def errors(self) -> tuple[float, float]:
+    """Root mean square errors of the positions before and after the fit [rad or m]."""
+    before, after = np.sqrt(np.nanmean(np.square(np.stack((self.before, self.after)) - self.measured), 1)).tolist()
+    return before, after
 
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
   """Fitted parameters of a robot."""
 
-  parameters: tuple[Parameter, ...]
-  """The parameters, in the order of all arrays."""
-  numbers: np.ndarray
-  """Fitted numbers, (parameters,); the prior where the records cannot tell."""
-  covariance: np.ndarray
-  """Covariance of the numbers, (parameters, parameters); that of the prior where the records cannot tell."""
-  told: np.ndarray
-  """True where the records tell, bool (parameters,)."""
-  reasons: tuple[str, ...]
-  """Reason why the records cannot tell a parameter; empty where they can."""
-  singular_values: np.ndarray
-  """Singular values of the Jacobian in units of noise, of numbers in units of half their bounds, falling."""
-  scores: tuple[Score, ...]
-  """Errors by record and joint."""
+  estimates: tuple[Estimate, ...]
+  """Estimates of the parameters."""
+  information: Information
+  """Information of the records, with the parameters in the order of `estimates`."""
   traces: tuple[Trace, ...] = field(repr=False)
   """Positions by record and joint."""
   period: float
@@ -72,49 +95,43 @@ class Identified:
   sources: tuple[str, ...]
   """Records that were fitted to."""
   overlay: dict[str, Any] = field(default_factory=dict, repr=False)
-  """Physical values of what the records tell: `model`, `actuators`, `delay`, `encoder_bias`, `timestep`."""
+  """Physical values of identifiable parameters: `model`, `actuators`, `delay`, `encoder_bias`, `timestep`."""
   stopped: bool = False
   """True if the fit was ended before it converged."""
 
+  @property
+  def numbers(self) -> np.ndarray:
+    """Fitted numbers, (parameters,)."""
+    return np.array([estimate.number for estimate in self.estimates])
+
   def value(self, name: str) -> float:
     """Return the physical value of a parameter."""
-    index = [parameter.name for parameter in self.parameters].index(name)
-    return self.parameters[index].value(float(self.numbers[index]))
-
-  @property
-  def spread(self) -> np.ndarray:
-    """Standard deviations of the numbers, (parameters,)."""
-    return np.sqrt(np.diag(self.covariance))
-
-  @property
-  def correlation(self) -> np.ndarray:
-    """Correlations of the numbers, (parameters, parameters)."""
-    return self.covariance / np.outer(self.spread, self.spread)
+    return next(estimate.value for estimate in self.estimates if estimate.parameter.name == name)
 
   def randomizers(self, width: float = 2.0) -> list[FieldRandomizer]:
-    """Return randomisers that draw each told parameter uniformly, so many standard deviations about its value.
+    """Return randomisers that draw each identifiable parameter uniformly, `width` standard deviations about its value.
 
     They are for a robot with the overlay, whose defaults are the fitted values. Delays, which are drawn in whole
     timesteps, are left out.
     """
     out = []
-    for parameter, number, spread, told in zip(self.parameters, self.numbers, self.spread, self.told, strict=True):
-      if not told or parameter.field == "delay":
+    for estimate in self.estimates:
+      parameter, operation = estimate.parameter, estimate.parameter.operation
+      if not estimate.identifiable or parameter.field == "delay":
         continue
-      reach = width * float(spread)
-      middle = 0.0 if parameter.operation == "add" else parameter.value(float(number))
-      reach *= abs(parameter.default) if parameter.operation == "scale" else 1.0
+      reach = width * estimate.std
+      middle = 0.0 if operation == "add" else estimate.value
+      if operation == "scale":
+        reach, operation = reach * abs(parameter.defaults[0]), "absolute"
       row = FIELDS[parameter.field]
       low = max(middle - reach, row.minimum[0] if len(row.minimum) == 1 else -math.inf)
-      operation: Operation = "add" if parameter.operation == "add" else "absolute"
       if row.kind == "target":
         operation, low, middle, reach = "scale", low / middle, 1.0, reach / middle
-      values = {parameter.axis: (low, middle + reach)} if parameter.axis else (low, middle + reach)
       out.append(
         randomize_field(
           parameter.field,
           [re.escape(element) for element in parameter.elements],
-          values,
+          {parameter.axis: (low, middle + reach)},
           operation=operation,
           shared=len(parameter.elements) > 1,
         )
@@ -124,62 +141,47 @@ class Identified:
   def summary(self) -> str:
     """Return a table of the parameters, and one of the errors."""
     rows = []
-    for parameter, number, spread, told, reason in zip(
-      self.parameters, self.numbers, self.spread, self.told, self.reasons, strict=True
-    ):
-      low, high = sorted(parameter.value(number + sign * spread) for sign in (-1.0, 1.0))
-      shown = f"{parameter.value(number):.4g}"
-      rows.append(
-        (
-          parameter.name,
-          f"{parameter.value(parameter.start):.4g}",
-          shown if told else "-",
-          f"{0.5 * (high - low):.2g}" if told else "-",
-          reason,
-        )
-      )
+    for estimate in self.estimates:
+      parameter, shown = estimate.parameter, ("-", "-")
+      if estimate.identifiable:
+        low, high = sorted(parameter.value(estimate.number + sign * estimate.std) for sign in (-1.0, 1.0))
+        shown = f"{estimate.value:.4g}", f"{0.5 * (high - low):.2g}"
+      rows.append((parameter.name, f"{parameter.value(parameter.start):.4g}", *shown, estimate.reason))
     errors = [
-      (
-        score.record + (" (held out)" if score.is_held_out else ""),
-        score.joint,
-        f"{score.before:.4g}",
-        f"{score.after:.4g}",
-      )
-      for score in self.scores
+      (trace.record + trace.is_held_out * " (held out)", trace.joint, *(f"{error:.4g}" for error in trace.errors))
+      for trace in self.traces
     ]
-    return "\n\n".join(
-      (
-        table(("parameter", "prior", "fitted", "std", "not told, because"), rows),
-        table(("record", "joint", "error before [rad or m]", "after"), errors),
-      )
-    )
+    parameters = table(("parameter", "prior", "fitted", "std", "not identifiable, because"), rows)
+    return f"{parameters}\n\n{table(('record', 'joint', 'error before [rad or m]', 'after'), errors)}"
 
   def save(self, path: str | Path) -> None:
     """Write the overlay file; a file of that name is replaced whole."""
     content: dict[str, Any] = {
       "format": "mjlab overlay 1",
-      "records": list(self.sources),
+      "records": self.sources,
       **self.overlay,
       "parameters": [
-        {
-          "name": parameter.name,
-          "field": parameter.field,
-          "axis": parameter.axis,
-          "elements": list(parameter.elements),
-          "operation": parameter.operation,
-          "number": float(number),
-          "std": float(spread),
-          "bounds": [parameter.lo, parameter.hi],
-          "told": bool(told),
-          "reason": reason,
+        asdict(estimate.parameter)
+        | {
+          "number": estimate.number,
+          "std": estimate.std,
+          "identifiable": estimate.identifiable,
+          "reason": estimate.reason,
         }
-        for parameter, number, spread, told, reason in zip(
-          self.parameters, self.numbers, self.spread, self.told, self.reasons, strict=True
-        )
+        for estimate in self.estimates
       ],
-      "covariance": self.covariance.tolist(),
-      "singular_values": self.singular_values.tolist(),
-      "scores": [asdict(score) for score in self.scores],
+      "covariance": self.information.covariance.tolist(),
+      "singular_values": self.information.singular_values.tolist(),
+      "scores": [
+        {
+          "record": trace.record,
+          "joint": trace.joint,
+          "before": trace.errors[0],
+          "after": trace.errors[1],
+          "is_held_out": trace.is_held_out,
+        }
+        for trace in self.traces
+      ],
     }
     with AtomicWrite(path) as temporary:
       temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

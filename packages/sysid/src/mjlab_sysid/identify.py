@@ -14,7 +14,7 @@ import numpy as np
 from mjlab_core.lazy import from_extra
 from mujoco.minimize import Verbosity, least_squares
 
-from mjlab_sysid.identified import Identified, Score, Trace
+from mjlab_sysid.identified import Estimate, Identified
 from mjlab_sysid.parameters import FitTerm, Range
 from mjlab_sysid.problem import PRIOR, IdentifyCfg, Problem
 from mjlab_sysid.progress import FitState, load_state, save_state
@@ -50,7 +50,7 @@ def identify(
   progress: str | Path | None = None,
   resume: bool = False,
 ) -> Identified:
-  """Fit parameters to records; those that the records cannot tell are named and stay at their prior.
+  """Fit parameters to records; those that are not identifiable are named and stay at their prior.
 
   Args:
     robot: The robot on its stand.
@@ -74,38 +74,29 @@ def identify(
 
   problem = problem_of(records)
   fitting = _Fit(problem, cfg, on_iteration, None if progress is None else Path(progress), resume)
-  x, told, reasons = fitting.run()
-  singular_values, covariance = _information(problem, x, told)
-  traces, tested = problem.traces(x), problem_of(held_out).traces(x) if held_out else []
+  x, reasons = fitting.run()
+  identifiable = _without(reasons)
+  jacobian, variance = problem.jacobian(x)
+  information = problem.information(jacobian / math.sqrt(variance), identifiable)
+  numbers = problem.numbers(x[:, None])[0].tolist()
+  rows = zip(problem.parameters, numbers, information.std.tolist(), reasons, strict=True)
+  traces = problem.traces(x, is_held_out=False)
+  if held_out:
+    traces += problem_of(held_out).traces(x, is_held_out=True)
   return Identified(
-    parameters=tuple(problem.parameters),
-    numbers=problem.numbers(x[:, None])[0],
-    covariance=covariance,
-    told=told,
-    reasons=tuple(reasons),
-    singular_values=singular_values,
-    scores=tuple(_score(trace, i >= len(traces)) for i, trace in enumerate([*traces, *tested])),
-    traces=(*traces, *tested),
+    estimates=tuple(Estimate(*row) for row in rows),
+    information=information,
+    traces=tuple(traces),
     period=problem.windows.timestep * problem.windows.substeps,
     sources=tuple(dict.fromkeys(record.source for record in records)),
-    overlay=problem.overlay(x, told),
+    overlay=problem.overlay(x, identifiable),
     stopped=fitting.stopped,
   )
 
 
-def _information(problem: Problem, x: np.ndarray, told: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-  """Return the singular values of the Jacobian, and the covariance of the numbers; that of the prior if not told."""
-  jacobian, scale = problem.information(x)
-  information = (jacobian.T @ jacobian / scale)[np.ix_(told, told)]
-  covariance = np.diag(np.full(problem.count, PRIOR**2))
-  covariance[np.ix_(told, told)] = np.linalg.inv(information + np.eye(int(told.sum())) / PRIOR**2)
-  half = np.array([parameter.half for parameter in problem.parameters])
-  return np.linalg.svd(jacobian / math.sqrt(scale), compute_uv=False), covariance * np.outer(half, half)
-
-
-def _score(trace: Trace, is_held_out: bool) -> Score:
-  before, after = (float(np.sqrt(np.nanmean(np.square(part - trace.measured)))) for part in (trace.before, trace.after))
-  return Score(record=trace.record, joint=trace.joint, before=before, after=after, is_held_out=is_held_out)
+def _without(reasons: Sequence[str]) -> np.ndarray:
+  """Return True for the parameters without a reason against them, bool (parameters,)."""
+  return np.array([not reason for reason in reasons])
 
 
 class _Fit:
@@ -128,25 +119,25 @@ class _Fit:
       self._state = FitState(x=problem.off_plateaus(np.zeros(problem.count)))
     self.stopped = False
 
-  def run(self) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Fit all parameters, then those that the records tell; return the candidate, which they are, and reasons."""
-    if self._state.told is None:
+  def run(self) -> tuple[np.ndarray, list[str]]:
+    """Fit all parameters, then the identifiable ones; return the candidate, and the reasons against the others."""
+    if not self._state.reasons:
       x = self._solve("fit", np.ones(self._problem.count, dtype=bool))
-      told, reasons = self._problem.identifiable(x, self._cfg.tell)
-      self._state = FitState(x=np.where(told, x, 0.0), told=told, reasons=reasons)
-    else:
-      told, reasons = self._state.told, self._state.reasons
-    if told.any() and not told.all():
-      self._solve("fit what the records tell", told)
+      reasons = self._problem.reasons(x)
+      self._state = FitState(x=np.where(_without(reasons), x, 0.0), reasons=reasons)
+    reasons = self._state.reasons
+    identifiable = _without(reasons)
+    if identifiable.any() and not identifiable.all():
+      self._solve("fit identifiable parameters", identifiable)
     if self._file is not None and not self.stopped:
       self._file.unlink(missing_ok=True)
-    return self._state.x, told, reasons
+    return self._state.x, reasons
 
   def _solve(self, stage: str, free: np.ndarray) -> np.ndarray:
     """Return the best candidate that differs from the state's in the free parameters alone."""
     problem, state = self._problem, self._state
     state.x = np.clip(state.x, problem.lower, problem.upper)
-    # States depend on parameters, so that their uncertainty is linearised again at what the first pass finds.
+    # States depend on parameters, so their uncertainty is linearised again after the first pass.
     while state.passes < _PASSES and not self.stopped:
       problem.marginalise(state.x)
       self._pass(stage, free)

@@ -113,8 +113,8 @@ class Parameter:
   """Names of the elements; several if they share the value."""
   operation: Operation
   """Relation of the fitted number to the compiled value."""
-  default: float
-  """Compiled value of the first element."""
+  defaults: tuple[float, ...]
+  """Compiled value of each element."""
   start: float
   """Prior of the fitted number, where the fit begins."""
   lo: float
@@ -122,11 +122,12 @@ class Parameter:
   hi: float
   """Upper bound of the fitted number."""
 
-  def value(self, number: float) -> float:
-    """Return the physical value that a fitted number stands for; of `pseudo_inertia`, the number itself."""
-    if self.field == "pseudo_inertia":
+  def value(self, number: float, place: int = 0) -> float:
+    """Return the physical value of the element at `place` for a fitted number; for `pseudo_inertia`, the number."""
+    if self.field == "pseudo_inertia" or self.operation == "absolute":
       return number
-    return {"scale": self.default * number, "add": self.default + number, "absolute": number}[self.operation]
+    default = self.defaults[place]
+    return default * number if self.operation == "scale" else default + number
 
   @property
   def half(self) -> float:

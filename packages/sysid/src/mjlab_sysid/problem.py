@@ -1,6 +1,6 @@
-"""Residuals of a fit as a function of its parameters, and what records can tell of them.
+"""Residuals of a fit as a function of its parameters, and the information of records about these.
 
-The residual of a window is the difference between a rollout from its measured state and what was measured, divided by
+The residual of a window is the difference between a rollout from its measured state and the measurements, divided by
 the noise. The state itself is measured with noise, so it is marginalised: with S the derivative of the residuals by the
 state in units of its noise, their covariance is C = 1 + S S^T, and C^(-1/2) r is minimised.
 """
@@ -15,7 +15,7 @@ import torch
 from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
 
 from mjlab_sysid.engines import EngineName
-from mjlab_sysid.identified import Trace
+from mjlab_sysid.identified import Information, Trace
 from mjlab_sysid.parameters import FitTerm, Parameter, Range
 from mjlab_sysid.progress import fingerprint
 from mjlab_sysid.records import BODY_SIGNALS, UNITS, elements
@@ -59,8 +59,8 @@ class IdentifyCfg:
   """Solver; CMA-ES, from the extra `cma`, needs no gradient, for records full of contacts."""
   iterations: PositiveCount = 40
   """Largest number of iterations, or of generations, of a pass."""
-  tell: Annotated[float, Limits(gt=0, le=1)] = 0.1
-  """Standard deviation, in units of half the bounds' width, above which records cannot tell a parameter."""
+  max_std: Annotated[float, Limits(gt=0, le=1)] = 0.1
+  """Largest standard deviation of an identifiable parameter, in units of half the bounds' width."""
   engine: EngineName = "auto"
   """`native`: MuJoCo's own batch, on a CPU. `warp`: MuJoCo Warp, from the extra `warp`. `auto`: Warp on a GPU."""
   device: str = "cpu"
@@ -105,17 +105,18 @@ class Problem:
     """Digest of the records, the parameters and the settings."""
     windows, cfg = self.windows, self._cfg
     arrays = (*windows.measured.values(), *windows.commands.values(), windows.first)
-    return fingerprint(self.parameters, cfg.window, cfg.solver, cfg.tell, *arrays)
+    return fingerprint(self.parameters, cfg.window, cfg.solver, cfg.max_std, *arrays)
 
   def numbers(self, x: np.ndarray) -> np.ndarray:
     """Return fitted numbers, (columns, parameters), of candidates in units of half bounds, (parameters, columns)."""
     return self._start + self._half * np.clip(x.T, self.lower, self.upper)
 
-  def overlay(self, x: np.ndarray, told: np.ndarray) -> dict[str, Any]:
-    """Return the physical values of told parameters at a candidate, as an overlay file holds them."""
+  def overlay(self, x: np.ndarray, identifiable: np.ndarray) -> dict[str, Any]:
+    """Return the physical values of identifiable parameters at a candidate, as an overlay file holds them."""
     worlds = Worlds(self.robot, 1)
     worlds.bind(self._fit, self._ranges)
-    return {"timestep": self.windows.timestep, **worlds.overlay(self.numbers(np.where(told, x, 0.0)[:, None])[0], told)}
+    numbers = self.numbers(np.where(identifiable, x, 0.0)[:, None])[0]
+    return {"timestep": self.windows.timestep, **worlds.overlay(numbers, identifiable)}
 
   def predict(
     self, x: np.ndarray, position: np.ndarray | None = None, velocity: np.ndarray | None = None
@@ -166,68 +167,79 @@ class Problem:
       found = found - np.einsum("wdk,cwk->cwd", self._basis, self._shrink * inside)
     return found.reshape(x.shape[1], -1).T
 
-  def information(self, x: np.ndarray) -> tuple[np.ndarray, float]:
+  def jacobian(self, x: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the Jacobian of the whitened residuals at a candidate, and the variance of these."""
     inward = np.where(x > 0.5 * (self.lower + self.upper), -self.steps.parameter, self.steps.parameter)
     base = self.whitened(x[:, None])
     jacobian = (self.whitened(x[:, None] + np.diag(inward)) - base) / inward
     return jacobian, float(np.square(base).sum() / max(1, len(base) - self.count))
 
+  def information(self, jacobian: np.ndarray, identifiable: np.ndarray) -> Information:
+    """Return the information of a Jacobian in units of noise.
+
+    Args:
+      jacobian: The Jacobian, (residuals, parameters).
+      identifiable: True for the parameters that are fitted, bool (parameters,); the others keep their prior.
+    """
+    fitted = jacobian[:, identifiable]
+    precision = fitted.T @ fitted + np.eye(fitted.shape[1]) / PRIOR**2
+    covariance = PRIOR**2 * np.eye(self.count)
+    covariance[np.ix_(identifiable, identifiable)] = np.linalg.inv(precision)
+    return Information(np.linalg.svd(jacobian, compute_uv=False), covariance * np.outer(self._half, self._half))
+
   def off_plateaus(self, x: np.ndarray) -> np.ndarray:
-    """Return a candidate, (parameters,), in which what has no derivative has the best of some values within its bounds.
+    """Return a candidate, (parameters,), with the best of some values for each parameter without a derivative.
 
     A limit that is not reached is such a parameter.
     """
-    x, slopes = x.copy(), np.linalg.norm(self.information(x)[0], axis=0)
+    x, slopes = x.copy(), np.linalg.norm(self.jacobian(x)[0], axis=0)
     for place in np.flatnonzero(slopes < _FLAT):
       tried = np.repeat(x[:, None], _TRIED, 1)
       tried[place, 1:] = np.linspace(self.lower[place], self.upper[place], _TRIED + 1)[1:-1]
       x[place] = tried[place, np.square(self.whitened(tried)).sum(0).argmin()]
     return x
 
-  def identifiable(self, x: np.ndarray, tell: float) -> tuple[np.ndarray, list[str]]:
-    """Return the parameters that the records tell, bool (parameters,), and the reason for each that they do not."""
-    jacobian, scale = self.information(x)
-    information = jacobian.T @ jacobian / scale
-    names = [parameter.name for parameter in self.parameters]
-    told = np.ones(self.count, dtype=bool)
+  def reasons(self, x: np.ndarray) -> list[str]:
+    """Return the reason for each parameter that the records do not identify, and "" for the others."""
+    jacobian, variance = self.jacobian(x)
+    information = jacobian.T @ jacobian / variance
+    kept = np.arange(self.count)
     reasons = [""] * self.count
-    while told.any():
-      kept = np.flatnonzero(told)
+    while len(kept):
       # A direction without any information is not infinite, so that the worst can be named.
       covariance = np.linalg.inv(information[np.ix_(kept, kept)] + 1e-6 * np.eye(len(kept)))
-      spread = np.sqrt(np.diag(covariance))
-      if spread.max() <= tell:
+      std = np.sqrt(np.diag(covariance))
+      if std.max() <= self._cfg.max_std:
         break
       # Of several that only act together, the one with the smallest effect goes first.
-      tied = spread > 0.5 * spread.max()
+      tied = std > 0.5 * std.max()
       worst = int(np.argmin(np.where(tied, information[kept, kept], np.inf)))
-      correlation = covariance[worst] / (spread[worst] * spread)
+      correlation = np.abs(covariance[worst] / (std[worst] * std))
       correlation[worst] = 0.0
-      partner = int(np.argmax(np.abs(correlation)))
+      partner = int(np.argmax(correlation))
       index = kept[worst]
       alone = 1.0 / math.sqrt(information[index, index] + 1e-12)
-      if alone > tell:
+      if alone > self._cfg.max_std:
         reasons[index] = "the records hardly depend on it"
-      elif abs(correlation[partner]) > 0.8:
-        reasons[index] = f"the records tell it only together with {names[kept[partner]]}"
+      elif correlation[partner] > 0.8:
+        reasons[index] = f"the records identify it only together with {self.parameters[kept[partner]].name}"
       else:
-        reasons[index] = "the records tell it only together with several others"
-      told[index] = False
-    return told, reasons
+        reasons[index] = "the records identify it only together with several others"
+      kept = np.delete(kept, worst)
+    return reasons
 
-  def traces(self, x: np.ndarray) -> list[Trace]:
+  def traces(self, x: np.ndarray, *, is_held_out: bool) -> list[Trace]:
     """Return positions by record and joint, measured, before the fit and at a candidate, (parameters,)."""
     before, after = (self.predict(candidate[:, None]) for candidate in (np.zeros(self.count), x))
     out = []
     for record in dict.fromkeys(self.windows.records):
       rows = [name == record for name in self.windows.records]
-      for signal, (measured, *others) in self._shown(before, after).items():
-        for column, element in enumerate(elements(signal, self.windows.joints)[-measured.shape[2] :]):
-          if not np.isnan(measured[rows][..., column]).all():
-            name = element if signal == "position" else f"{signal}/{element} [{_UNITS[signal]}]"
-            flat = [part[rows][..., column].ravel() for part in (measured, *others)]
-            out.append(Trace(record=record, joint=name, measured=flat[0], before=flat[1], after=flat[2]))
+      for signal, shown in self._shown(before, after).items():
+        for column, element in enumerate(elements(signal, self.windows.joints)[-shown[0].shape[2] :]):
+          measured, initial, fitted = (part[rows][..., column].ravel() for part in shown)
+          if not np.isnan(measured).all():
+            joint = element if signal == "position" else f"{signal}/{element} [{_UNITS[signal]}]"
+            out.append(Trace(record, joint, measured, initial, fitted, is_held_out))
     return out
 
   def _shown(self, *predicted: Mapping[str, np.ndarray]) -> dict[str, list[np.ndarray]]:

@@ -21,10 +21,8 @@ class FitState:
   """The candidate, (parameters,), in units of half the bounds."""
   passes: int = 0
   """Passes done of the present stage."""
-  told: np.ndarray | None = None
-  """Parameters that the records tell, bool (parameters,); None until the first stage has found them."""
   reasons: list[str] = field(default_factory=list)
-  """Reasons why the records cannot tell the others."""
+  """Reason for each parameter that is not identifiable, and "" for the others; empty until the first stage ends."""
 
 
 def fingerprint(*parts: Any) -> str:
@@ -42,7 +40,6 @@ def save_state(state: FitState, path: Path, key: str) -> None:
     "fit": key,
     "x": state.x.tolist(),
     "passes": state.passes,
-    "told": None if state.told is None else state.told.tolist(),
     "reasons": state.reasons,
   }
   with AtomicWrite(path) as temporary:
@@ -50,7 +47,7 @@ def save_state(state: FitState, path: Path, key: str) -> None:
 
 
 def load_state(path: Path, key: str, count: int) -> FitState:
-  """Return the state of a fit of so many parameters.
+  """Return the state of a fit of `count` parameters.
 
   Raises:
     FileError: The file is missing or damaged, or of another fit.
@@ -61,13 +58,11 @@ def load_state(path: Path, key: str, count: int) -> FitState:
       raise FileError(f"expected an object with format '{_FORMAT}'")
     if content["fit"] != key:
       raise FileError("it is of other records, parameters or settings; fit again without resuming")
-    told = content["told"]
     state = FitState(
       x=np.array(content["x"], dtype=np.float64),
       passes=int(content["passes"]),
-      told=None if told is None else np.array(told, dtype=bool),
       reasons=[str(reason) for reason in content["reasons"]],
     )
-    if state.x.shape != (count,) or not np.isfinite(state.x).all() or (told is not None and len(told) != count):
+    if state.x.shape != (count,) or not np.isfinite(state.x).all() or len(state.reasons) not in (0, count):
       raise FileError(f"expected {count} finite numbers")
     return state

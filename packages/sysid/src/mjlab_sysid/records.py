@@ -47,6 +47,13 @@ def elements(signal: str, joints: Sequence[str]) -> tuple[str, ...]:
   return ("w", "x", "y", "z") if BODY_SIGNALS[signal] == "quaternion" else ("x", "y", "z")
 
 
+def arranged(values: np.ndarray, joints: Sequence[str], order: Sequence[str]) -> np.ndarray:
+  """Return columns of `joints`, (rows, joints), in the places of their names in `order`; NaN elsewhere."""
+  out = np.full((len(values), len(order)), np.nan)
+  out[:, [order.index(joint) for joint in joints]] = values
+  return out
+
+
 UNITS: dict[str, dict[str, float]] = {
   "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
   "position": {"rad": 1.0, "deg": math.pi / 180.0, "m": 1.0, "mm": 1e-3, "rev": 2.0 * math.pi},

@@ -55,16 +55,18 @@ def _motion(record: str, traces: list[Trace], period: float) -> str:
 def _correlations(found: Identified) -> str:
   from matplotlib.figure import Figure
 
-  count = len(found.parameters)
+  information, count = found.information, len(found.estimates)
   figure = Figure(figsize=(11.0, 3.0 + 0.25 * count), layout="constrained")
   matrix, values = figure.subplots(1, 2)
-  names = [parameter.name for parameter in found.parameters]
-  picture = matrix.imshow(found.correlation, vmin=-1.0, vmax=1.0, cmap="RdBu")
+  names = [estimate.parameter.name for estimate in found.estimates]
+  picture = matrix.imshow(information.correlation, vmin=-1.0, vmax=1.0, cmap="RdBu")
   matrix.set_yticks(range(count), names, fontsize=7)
   matrix.set_xticks(range(count), names, fontsize=7, rotation=90)
   matrix.set_title("correlation of fitted values")
   figure.colorbar(picture, ax=matrix)
-  values.semilogy(np.arange(1, 1 + len(found.singular_values)), np.maximum(found.singular_values, 1e-12), "o-")
+  values.semilogy(
+    np.arange(1, 1 + len(information.singular_values)), np.maximum(information.singular_values, 1e-12), "o-"
+  )
   values.set_title("singular values of the Jacobian")
   values.set_ylabel("residuals in units of noise, per half width of bounds")
   values.set_xlabel("direction")

@@ -9,7 +9,7 @@ import torch
 from mjlab_core.errors import MjlabError
 from mjlab_core.rotations import quat_apply_inverse, quat_box_minus
 
-from mjlab_sysid.records import BODY_SIGNALS, Record, check_joints, elements, uniform
+from mjlab_sysid.records import BODY_SIGNALS, Record, arranged, check_joints, elements, uniform
 from mjlab_sysid.robot import IMU, Robot
 from mjlab_sysid.worlds import TARGETS, Commands, Worlds
 
@@ -22,7 +22,7 @@ _LONGEST_DELAY = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class Windows:
-  """Windows of equal length, and what the robot was told and did in them."""
+  """Windows of equal length, with commands and measurements."""
 
   joints: tuple[str, ...]
   """All joints of the robot, in the order of columns."""
@@ -45,7 +45,7 @@ class Windows:
   sigma: dict[str, np.ndarray]
   """Noise of each signal, (joints or 3,)."""
   commands: dict[str, np.ndarray]
-  """Set-points of all records, one after the other, (rows, joints)."""
+  """Targets of all records, one after the other, (rows, joints)."""
   first: np.ndarray
   """Row of `commands` at the beginning of each window, (windows,)."""
 
@@ -161,8 +161,8 @@ def _joined(
     check_joints(record, robot.ranges())
     _check_signals(record)
     for part in uniform(record, period):
-      full = {name: _spread(part, name, robot.joints) for name in tables}
-      # A joint that is not commanded stays where it is told to, or where it was.
+      full = {name: _columns(part, name, robot.joints) for name in tables}
+      # A joint without commands holds its first measured position, or its pose.
       target, measured = full["position_target"], full["position"][0]
       unmoved = np.isnan(target).all(0)
       target[:, unmoved] = np.where(np.isnan(measured), _pose(robot), measured)[unmoved]
@@ -205,13 +205,12 @@ def _turns(orientation: np.ndarray) -> np.ndarray:
   return np.concatenate((np.zeros((1, 3)), np.cumsum(steps, 0)))
 
 
-def _spread(record: Record, name: str, joints: Sequence[str]) -> np.ndarray:
-  if name in BODY_SIGNALS:
-    return record.signals.get(name, np.full((record.num_rows, len(elements(name, ()))), np.nan))
-  out = np.full((record.num_rows, len(joints)), np.nan)
-  if name in record.signals:
-    out[:, [joints.index(joint) for joint in record.joints]] = record.signals[name]
-  return out
+def _columns(record: Record, name: str, joints: Sequence[str]) -> np.ndarray:
+  """Return a signal of a record with the columns of all joints; NaN where the record lacks it."""
+  values = record.signals.get(name)
+  if values is None:
+    return np.full((record.num_rows, len(elements(name, joints))), np.nan)
+  return values if name in BODY_SIGNALS else arranged(values, record.joints, joints)
 
 
 def _check_signals(record: Record) -> None:
@@ -249,17 +248,17 @@ def _beginnings(
   noise = np.broadcast_to(sigma[name], position[starts].shape)
   rough = np.gradient(position, period, axis=0)
   slope = rough.copy()
-  # Of the fourth order; its error is a part of that of the second order.
+  # The fourth order; its error is a part of the second order's.
   slope[2:-2] = (8.0 * (position[3:-1] - position[1:-3]) - (position[4:] - position[:-4])) / (12.0 * period)
   error = 0.5 * np.sqrt(np.nanmean(np.square(np.nan_to_num(slope - rough)), 0))
-  # Of implicit Euler, a position changes by the velocity after the step: velocities belong half a timestep earlier.
+  # In implicit Euler a position changes by the velocity after the step: velocities belong half a timestep earlier.
   slope = (slope - 0.5 * timestep * np.gradient(slope, period, axis=0))[starts]
-  spread = np.sqrt(np.square(0.95 * noise / period) + np.square(error))
+  std = np.sqrt(np.square(0.95 * noise / period) + np.square(error))
   velocity = slope
   if name == "position" and "velocity" in seen:
     measured = seen["velocity"][starts]
     velocity = np.where(np.isnan(measured), slope, measured)
-    spread = np.where(np.isnan(measured), spread, sigma["velocity"])
+    std = np.where(np.isnan(measured), std, sigma["velocity"])
   absent = np.isnan(position[starts])
-  uncertain = np.where(absent[:, None], 0.0, np.stack((noise, spread), 1))
+  uncertain = np.where(absent[:, None], 0.0, np.stack((noise, std), 1))
   return position[starts], np.where(absent, 0.0, velocity), uncertain

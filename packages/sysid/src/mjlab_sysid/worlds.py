@@ -1,9 +1,7 @@
 """Many copies of a robot with different parameters, stepped together."""
 
-import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -21,15 +19,18 @@ from mjlab_sysid.robot import Robot
 
 TARGETS = ("position_target", "velocity_target", "effort_target")
 """Signals that command joints."""
+_OWN = ("delay", "encoder_bias")
+_Term = tuple[list[Parameter], Callable[[torch.Tensor], None]]
+"""Parameters of a term, and the function that writes their numbers, (num_worlds, parameters)."""
 _BODY = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
 
 
 class _Given:
-  """Distribution that returns what it is given, so that the catalogue's own operations write it."""
+  """Distribution that returns given values, which the operations of the catalogue write."""
 
   def __init__(self, lo: float, hi: float) -> None:
     self.lo, self.hi = lo, hi
-    self.values: torch.Tensor | None = None
+    self.values = torch.empty(0)
 
   def check(self, name: str) -> None:
     del name
@@ -38,24 +39,12 @@ class _Given:
     return self.lo, self.hi
 
   def sample(self, shape: Sequence[int], *, device: Any, dtype: torch.dtype, **_: Any) -> torch.Tensor:
-    if self.values is None:
-      return torch.full(tuple(shape), 0.5 * (self.lo + self.hi), device=device, dtype=dtype)
+    del shape
     return self.values.to(device, dtype)
 
 
-@dataclass
-class _Bound:
-  """A term bound to worlds: its parameters are `columns` of the candidates."""
-
-  columns: slice
-  parameters: list[Parameter]
-  write: Any
-  """Function of the candidates' columns, (num_worlds, len(parameters))."""
-  needs_constants: bool
-
-
 class Worlds:
-  """So many worlds of a robot."""
+  """Worlds of a robot with different parameters."""
 
   def __init__(
     self, robot: Robot, num_worlds: int, *, engine: EngineName = "native", device: str = "cpu", threads: int = 0
@@ -64,15 +53,15 @@ class Worlds:
     self.sim = sim = make_engine(robot, num_worlds, engine, device, threads)
     self.actuators = robot.actuation(num_worlds, sim.data.ctrl)
     self._everyone = torch.ones(num_worlds, dtype=torch.bool, device=sim.device)
-    self._bound: list[_Bound] = []
-    # Field of the first term that writes a number, by field of MjModel and column; later terms start from its result.
-    self._written: dict[tuple[str, int], str] = {}
+    self._terms: list[_Term] = []
+    # Field of the first term that writes a number, by its key; later terms start from its result.
+    self._written: dict[Any, str] = {}
     driven = self.actuators.target_names
     if others := [name for name in driven if name not in robot.joints]:
-      raise MjlabError(f"records are of joints; '{others[0]}' is driven and is none")
+      raise MjlabError(f"records are of joints; '{others[0]}' is driven and is not a joint")
     delays = torch.tensor([robot.delays.get(name, 0.0) for name in driven], device=sim.device, dtype=torch.float64)
     self.delay = delays.repeat(num_worlds, 1)
-    """Delay of the set-points, (num_worlds, targets) [s]."""
+    """Delay of the targets, (num_worlds, targets) [s]."""
     self.encoder_bias = torch.zeros_like(self.delay)
     """Reading minus truth, (num_worlds, targets) [rad or m]."""
     position, velocity = robot.addresses(driven)
@@ -89,51 +78,47 @@ class Worlds:
       MjlabError: A parameter cannot have an effect, may become unphysical, or is named twice.
     """
     for term in terms:
-      bounds = term.bounds(ranges)
-      row = FIELDS[term.field]
-      if term.field in ("delay", "encoder_bias"):
-        self._bind_own(term, bounds[""])
-      elif row.kind == "target":
-        self._bind_actuator(term, bounds[""])
-      else:
-        self._bind_field(term, bounds)
-    parameters = [parameter for bound in self._bound for parameter in bound.parameters]
+      bind = self._bind_own if term.field in _OWN else self._bind_field
+      self._terms.append(bind(term, term.bounds(ranges)))
+    parameters = self._parameters
     named = Counter((p.field, p.axis and f".{p.axis}", element) for p in parameters for element in p.elements)
     (field, axis, element), times = named.most_common(1)[0]
     if times > 1:
       raise MjlabError(f"fit: {field}{axis} of '{element}' is named twice")
     return parameters
 
+  @property
+  def _parameters(self) -> list[Parameter]:
+    return [parameter for parameters, _ in self._terms for parameter in parameters]
+
   def write(self, numbers: np.ndarray) -> None:
     """Write candidates, (num_worlds, parameters)."""
-    for bound in self._bound:
-      bound.write(np.ascontiguousarray(numbers[:, bound.columns]))
-    if any(bound.needs_constants for bound in self._bound):
+    begin = 0
+    for parameters, write in self._terms:
+      end = begin + len(parameters)
+      write(torch.from_numpy(numbers[:, begin:end].copy()))
+      begin = end
+    if any(needs_constants(parameter.field) for parameter in self._parameters):
       self.sim.recompute_constants()
 
-  def overlay(self, numbers: np.ndarray, told: np.ndarray) -> dict[str, Any]:
-    """Write one candidate, (parameters,), and return the physical values of told parameters as an overlay holds them.
+  def overlay(self, numbers: np.ndarray, identifiable: np.ndarray) -> dict[str, Any]:
+    """Write one candidate, and return the physical values of identifiable parameters as an overlay holds them.
 
     Args:
-      numbers: The candidate.
-      told: True where a parameter is part of the overlay, bool (parameters,).
+      numbers: The candidate, (parameters,).
+      identifiable: True where a parameter is part of the overlay, bool (parameters,).
     """
     self.write(numbers[None].repeat(self.num_envs, 0))
     out: dict[str, Any] = {"model": {}, "actuators": {}, "delay": {}, "encoder_bias": {}}
-    parameters = [parameter for bound in self._bound for parameter in bound.parameters]
-    for parameter, number, is_told in zip(parameters, numbers.tolist(), told, strict=True):
-      for element in parameter.elements if is_told else ():
-        if parameter.field in ("delay", "encoder_bias"):
-          values = self.delay if parameter.field == "delay" else self.encoder_bias
-          out[parameter.field][element] = float(values[0, self.actuators.target_names.index(element)])
-        elif FIELDS[parameter.field].kind == "target":
-          name: Any = parameter.field
-          default = float(ActuatorParameter(self.actuators, self.sim, name, re.escape(element)).default[0, 0])
-          scaled = default * number if parameter.operation == "scale" else number
-          out["actuators"].setdefault(parameter.field, {})[element] = scaled
-        else:
-          for name, values in self.physical(parameter.field, element).items():
+    for parameter, number, is_kept in zip(self._parameters, numbers.tolist(), identifiable, strict=True):
+      field = parameter.field
+      for place, element in enumerate(parameter.elements) if is_kept else ():
+        if FIELDS[field].in_model:
+          for name, values in self.physical(field, element).items():
             out["model"].setdefault(name, {})[element] = values
+        else:
+          section = out if field in _OWN else out["actuators"]
+          section.setdefault(field, {})[element] = parameter.value(number, place)
     return out
 
   def physical(self, row: str, element: str) -> dict[str, list[float]]:
@@ -152,63 +137,46 @@ class Worlds:
     index = int(item.dofadr[0] if field.at == "dof" else item.qposadr[0] if field.at == "qpos" else item.id)
     return {name: np.atleast_1d(value[index]).astype(float).tolist() for name, value in values.items()}
 
-  def _add(self, parameters: list[Parameter], write: Any, constants: bool) -> None:
-    begin = self._bound[-1].columns.stop if self._bound else 0
-    self._bound.append(_Bound(slice(begin, begin + len(parameters)), parameters, write, constants))
-
-  def _bind_own(self, term: FitTerm, range_: Range) -> None:
-    """Delay and encoder offset, which neither MuJoCo nor an actuator model has."""
-    every = self.actuators.target_names
+  def _bind_own(self, term: FitTerm, bounds: Mapping[str, Range]) -> _Term:
+    """Bind a delay or an encoder offset, which neither MuJoCo nor an actuator model has."""
+    every, target = self.actuators.target_names, getattr(self, term.field)
     known = self.actuators.driven("joint") if term.field == "delay" else every
     _, names = match_names(term.pattern, known, what="driven joint", owner=f"fit {term.field}")
     columns = [every.index(name) for name in names]
-    target = self.delay if term.field == "delay" else self.encoder_bias
-    defaults = {name: float(target[0, column]) for name, column in zip(names, columns, strict=True)}
 
-    def write(numbers: np.ndarray) -> None:
-      target[:, columns] = torch.from_numpy(numbers).to(target)
+    def write(numbers: torch.Tensor) -> None:
+      target[:, columns] = numbers.to(target)
 
-    self._add(_parameters(term, "", names, [defaults[name] for name in names], range_), write, False)
+    return _parameters(term, "", dict(zip(names, target[0, columns].tolist(), strict=True)), bounds[""]), write
 
-  def _bind_actuator(self, term: FitTerm, range_: Range) -> None:
-    """Gains and limits, wherever the actuator model keeps them."""
+  def _bind_field(self, term: FitTerm, bounds: Mapping[str, Range]) -> _Term:
+    """Bind a row of MjModel, or a gain or limit of actuator models."""
     name: Any = term.field
-    parameter = ActuatorParameter(self.actuators, self.sim, name, term.pattern)
-    defaults = parameter.default[0].tolist()
-
-    def write(numbers: np.ndarray) -> None:
-      factors = torch.from_numpy(np.broadcast_to(numbers, (self.num_envs, len(defaults))).copy()).to(parameter.default)
-      parameter.scale(factors if range_[0] == "scale" else factors / parameter.default, self._everyone)
-
-    self._add(_parameters(term, "", list(parameter.names), defaults, range_), write, False)
-
-  def _bind_field(self, term: FitTerm, bounds: Mapping[str, Range]) -> None:
+    is_gain = not FIELDS[name].in_model
+    target = ActuatorParameter(self.actuators, self.sim, name, term.pattern) if is_gain else None
     given = {axis: _Given(lo, hi) for axis, (_, lo, hi) in bounds.items()}
     operation = next(iter(bounds.values()))[0]
-    row = FIELDS[term.field]
-    by_axis = {row.axes.index(axis): distribution for axis, distribution in given.items()}
-    cfg = randomize_field(term.field, term.pattern, by_axis, operation=operation, shared=term.shared)
-    bound = RandomizeField(cfg, self.sim, earlier=self._written, owner="fit")
-    for key, element in bound.written().items():
+    cfg = randomize_field(name, term.pattern, given, operation=operation, shared=term.shared)
+    bound = RandomizeField(cfg, self.sim, target=target, earlier=self._written, owner="fit")
+    for key, description in bound.claims.items():
       if key in self._written and not cfg.composes:
-        raise MjlabError(f"fit: {term.field} of '{element}' is also written by {self._written[key]}; fit one of them")
-      self._written.setdefault(key, term.field)
-    elements = list(bound.element_names)
-    if unnamed := [name for name in elements if name.startswith("(")]:
-      raise MjlabError(f"fit {term.field}: {unnamed[0]} has no name, which an overlay needs; name it, or fit others")
-    known = {(c.element, c.axis): float(value) for c, value in zip(bound.components, bound.default[0], strict=True)}
+        raise MjlabError(f"fit: {description} is also written by {self._written[key]}; fit one of them")
+      self._written.setdefault(key, name)
+    elements = bound.element_names
+    if unnamed := [element for element in elements if element.startswith("(")]:
+      raise MjlabError(f"fit {name}: {unnamed[0]} has no name, which an overlay needs; name it, or fit others")
+    known = {(c.element, c.axis): value for c, value in zip(bound.components, bound.default[0].tolist(), strict=True)}
     parameters: list[Parameter] = []
     for axis, range_ in bounds.items():
-      defaults = [known.get((element, axis), 0.0) for element in elements]
-      parameters += _parameters(term, axis, elements, defaults, range_)
-    count = 1 if term.shared else len(elements)
+      defaults = {element: known.get((element, axis), 0.0) for element in elements}
+      parameters += _parameters(term, axis, defaults, range_)
 
-    def write(numbers: np.ndarray) -> None:
-      for place, distribution in enumerate(given.values()):
-        distribution.values = torch.from_numpy(numbers[:, place * count : (place + 1) * count].copy())
+    def write(numbers: torch.Tensor) -> None:
+      for distribution, values in zip(given.values(), numbers.chunk(len(given), 1), strict=True):
+        distribution.values = values
       bound.apply(self._everyone, recompute=False)
 
-    self._add(parameters, write, needs_constants(term.field))
+    return parameters, write
 
   def begin(self, position: np.ndarray, velocity: np.ndarray, orientation: np.ndarray | None = None) -> None:
     """Put the driven joints where encoders read `position`, moving at `velocity`.
@@ -253,7 +221,7 @@ class Worlds:
       qvel[:, model.jnt_dofadr[one]] = polynomial.deriv()(away) * qvel[:, model.jnt_dofadr[other]]
 
   def step(self, targets: Mapping[str, torch.Tensor]) -> None:
-    """Advance one timestep under set-points as the encoders read them, (num_worlds, targets) by signal."""
+    """Advance one timestep under targets as the encoders read them, (num_worlds, targets) by signal."""
     data, dtype = self.sim.data, self.sim.dtype
     position, velocity = data.qpos[:, self._position], data.qvel[:, self._velocity]
     wanted = [targets[name] - self.encoder_bias if name == TARGETS[0] else targets[name] for name in TARGETS]
@@ -298,7 +266,7 @@ class Worlds:
 
 
 class Commands:
-  """Set-points of records that worlds follow, each from a row of its own."""
+  """Targets of records that worlds follow, each from its own row."""
 
   def __init__(
     self,
@@ -322,7 +290,7 @@ class Commands:
     """Timesteps since the beginning."""
 
   def now(self, delay: torch.Tensor) -> dict[str, torch.Tensor]:
-    """Return the mean set-points over this timestep, (num_worlds, targets), and move on to the next."""
+    """Return the mean targets over this timestep, (num_worlds, targets), and move on to the next."""
     begin = self._first + (self.clock * self._timestep - delay) / (self._substeps * self._timestep)
     end = begin + 1.0 / self._substeps
     mean = (self._until(end) - self._until(begin)) * self._substeps
@@ -334,28 +302,23 @@ class Commands:
     return self._sums[whole, self._columns] + (at - whole).unsqueeze(-1) * self._values[whole, self._columns]
 
 
-def _parameters(
-  term: FitTerm, axis: str, elements: Sequence[str], defaults: Sequence[float], range_: Range
-) -> list[Parameter]:
+def _parameters(term: FitTerm, axis: str, defaults: Mapping[str, float], range_: Range) -> list[Parameter]:
   operation, lo, hi = range_
-  groups = [tuple(elements)] if term.shared else [(name,) for name in elements]
   out = []
-  for group in groups:
-    default = defaults[elements.index(group[0])]
+  for group in [tuple(defaults)] if term.shared else [(name,) for name in defaults]:
+    default = defaults[group[0]]
     if operation == "scale" and default == 0.0:
       raise MjlabError(f"fit {term.field}: it is 0 at '{group[0]}', so a factor does nothing; give bounds: =LO..HI")
     neutral = {"scale": 1.0, "add": 0.0, "absolute": default}[operation]
-    start = neutral if lo <= neutral <= hi else 0.5 * (lo + hi)
-    label = f"{term.field}{axis and '.'}{axis}:{term.pattern if term.shared else group[0]}"
     out.append(
       Parameter(
-        name=label,
+        name=f"{term.field}{axis and '.'}{axis}:{term.pattern if term.shared else group[0]}",
         field=term.field,
         axis=axis,
         elements=group,
         operation=operation,
-        default=default,
-        start=start,
+        defaults=tuple(defaults[element] for element in group),
+        start=neutral if lo <= neutral <= hi else 0.5 * (lo + hi),
         lo=lo,
         hi=hi,
       )

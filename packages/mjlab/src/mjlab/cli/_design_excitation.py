@@ -1,4 +1,4 @@
-"""`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record tells parameters of a task's robot well."""
+"""`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record identifies parameters of a robot well."""
 
 import dataclasses
 from typing import Annotated

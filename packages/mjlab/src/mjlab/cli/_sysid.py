@@ -36,7 +36,7 @@ class Arguments(CommonArguments):
   force: bool = False
   """Overwrite existing files."""
   resume: bool = False
-  """Continue a fit that was ended, from the file OUTPUT.progress that it left; the other arguments must be the same."""
+  """Continue a fit that was ended, from its file OUTPUT.progress; the other arguments must be the same."""
   device: str = "auto"
   """Device of the rollouts: auto, cpu or cuda:0."""
   engine: Literal["auto", "native", "warp"] = "auto"
@@ -55,7 +55,7 @@ class Arguments(CommonArguments):
   """Solver; cma needs no gradient, for records full of contacts."""
   iterations: int = 40
   """Largest number of iterations of a pass."""
-  tell: float = 0.1
+  max_std: float = 0.1
   """Standard deviation, in units of half the bounds' width, above which a parameter stays at its prior."""
 
 
@@ -64,7 +64,7 @@ _LINE = CommandLine(
   words="RECORD [RECORD ...]",
   purpose=(
     "Fits parameters of a robot to records of its commands and motion. Writes an overlay file that any task applies, "
-    "and a report. Parameters that the records do not determine are named and stay at their prior. Ctrl-C ends the "
+    "and a report. Parameters that are not identifiable are named and stay at their prior. Ctrl-C ends the "
     "fit and writes what was found; a second Ctrl-C writes nothing. Either can be continued with --resume."
   ),
   arguments=Arguments,
@@ -87,7 +87,7 @@ def run(wanted: Arguments, paths: list[str]) -> int:
   from mjlab_sysid import IdentifyCfg, identify, parse_term, read_records, write_report
 
   terms = [parse_term(text) for text in wanted.fit]
-  names = ("window", "solver", "iterations", "tell", "engine")
+  names = ("window", "solver", "iterations", "max_std", "engine")
   device = environments.resolve_device(wanted.device) if wanted.engine != "native" else "cpu"
   cfg = IdentifyCfg(device=device, **{name: getattr(wanted, name) for name in names})
   records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
@@ -125,7 +125,7 @@ def print_iteration(seen: "Progress", value: str) -> None:
 
 
 def describe_records(records: "list[Record]") -> None:
-  """Print what was read from files of records."""
+  """Print a description of each record."""
   for record in records:
     print(f"{record.source}: {record.num_rows} rows every {record.period:g} s, joints {', '.join(record.joints)}")
     if record.ignored:
