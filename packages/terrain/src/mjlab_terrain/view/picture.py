@@ -53,6 +53,7 @@ def render(
   spec.add_texture(name="sky", type=sky, builtin=builtin, rgb1=paper, rgb2=paper, width=8, height=48)
   width, height = spec.visual.global_.offwidth, spec.visual.global_.offheight = size
   spec.visual.global_.fovy, spec.visual.quality.shadowsize = _FOVY, 8192
+  spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.4] * 3, [0.1] * 3
   model = spec.compile()
   data = mujoco.MjData(model)
   mujoco.mj_forward(model, data)
