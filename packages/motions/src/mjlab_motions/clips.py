@@ -76,8 +76,8 @@ def _folder(folder: Path) -> list[ClipEntry]:
     index = read_json(file, dict[str, _Settings], '{"clip.npz": {"weight": 1.0, "split": "train"}, ...}')
   for name in index:
     check_name("clip", name, paths, str(file))
-  settings = {name: index.get(name, _Settings()) for name in paths}
-  return [ClipEntry(path=paths[name], weight=item.weight, split=item.split) for name, item in settings.items()]
+  settings = {name: msgspec.structs.asdict(index.get(name, _Settings())) for name in paths}
+  return [ClipEntry(path=path, **settings[name]) for name, path in paths.items()]
 
 
 def read_text(path: str | os.PathLike[str]) -> str:

@@ -68,7 +68,7 @@ def mirrored_joints(robot: Kinematics) -> tuple[list[int], list[float]]:
   zero = torch.zeros(1, len(robot.joint_names), dtype=torch.float64)
   root = torch.zeros(1, 3, dtype=torch.float64), torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
   quat = robot.poses(*root, zero)[1][0]
-  rows = [robot.body_names.index(robot.local_name(model.body(model.jnt_bodyid[j]).name)) for j in robot.joint_ids]
+  rows = [robot.rows[body] for body in model.jnt_bodyid[robot.joint_ids].tolist()]
   axes = quat_apply(quat[rows], torch.as_tensor(model.jnt_axis[robot.joint_ids]))
   slides = torch.as_tensor(model.jnt_type[robot.joint_ids]) == 2  # mjJNT_SLIDE: an arrow, not a rotation
   reflected = torch.where(slides[:, None], torch.tensor([1.0, -1.0, 1.0]), torch.tensor([-1.0, 1.0, -1.0])) * axes
@@ -88,10 +88,8 @@ def mirrored_joints(robot: Kinematics) -> tuple[list[int], list[float]]:
 
 def twin_name(name: str) -> str:
   """Return the name of the same part on the other side; a name without left or right is returned unchanged."""
-  parts = []
-  for word in name.split("_"):
-    parts.append({"left": "right", "right": "left", "l": "r", "r": "l", "L": "R", "R": "L"}.get(word, word))
-  return "_".join(parts)
+  other = {"left": "right", "right": "left", "l": "r", "r": "l", "L": "R", "R": "L"}
+  return "_".join(other.get(word, word) for word in name.split("_"))
 
 
 def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
@@ -117,8 +115,7 @@ def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
     turn = quat_mul(quat_yaw(whole.root_quat[-count]), quat_conjugate(quat_yaw(motion.root_quat[0])))
     offset = whole.root_pos[-count] - quat_apply(turn, motion.root_pos[0])
     offset[2] = 0.0
-    pos = quat_apply(turn.expand(motion.num_frames, 4), motion.root_pos) + offset
-    quat = quat_mul(turn.expand(motion.num_frames, 4), motion.root_quat)
+    pos, quat = quat_apply(turn, motion.root_pos) + offset, quat_mul(turn, motion.root_quat)
     # Smooth at both ends, so that speeds do not jump.
     share = torch.linspace(0.0, 1.0, count, dtype=torch.float64)
     share = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)

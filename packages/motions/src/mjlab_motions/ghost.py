@@ -1,7 +1,6 @@
 """Ghost of a robot: its shapes, drawn transparently in any pose."""
 
 import mujoco
-import numpy as np
 import torch
 from mjlab_core import DebugDraw
 from mjlab_core.rotations import quat_apply, quat_conjugate, quat_mul
@@ -22,10 +21,8 @@ class Ghost:
 
   def __init__(self, robot: Kinematics) -> None:
     self._robot, model = robot, robot.model
-    own = [g for g in range(model.ngeom) if robot.local_name(model.body(model.geom_bodyid[g]).name) in robot.body_names]
-    shown = [g for g in own if model.geom_group[g] == VISUAL_GROUP] or own
-    self._rows = [robot.body_names.index(robot.local_name(model.body(model.geom_bodyid[g]).name)) for g in shown]
-    self._geoms = shown
+    own = [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in robot.rows]
+    self._geoms = [g for g in own if model.geom_group[g] == VISUAL_GROUP] or own
 
   def draw(self, draw: DebugDraw, root_pos: torch.Tensor, root_quat: torch.Tensor, joint_pos: torch.Tensor) -> None:
     """Draw one robot for each row.
@@ -36,13 +33,9 @@ class Ghost:
       root_quat: (n, 4).
       joint_pos: In the order of the robot's joint names, (n, joints) [rad or m].
     """
-    model = self._robot.model
-    body_pos, body_quat = self._robot.poses(root_pos, root_quat, joint_pos)
-    for geom, row in zip(self._geoms, self._rows, strict=True):
-      turn = body_quat[:, row]
-      pos = body_pos[:, row] + quat_apply(turn, self._constant(model.geom_pos[geom], turn).expand(turn.shape[0], 3))
-      quat = quat_mul(turn, self._constant(model.geom_quat[geom], turn).expand(turn.shape[0], 4))
-      self._draw_geom(draw, geom, pos, quat)
+    pos, quat = self._robot.geom_poses(self._geoms, *self._robot.poses(root_pos, root_quat, joint_pos))
+    for i, geom in enumerate(self._geoms):
+      self._draw_geom(draw, geom, pos[:, i], quat[:, i])
 
   def _draw_geom(self, draw: DebugDraw, geom: int, pos: torch.Tensor, quat: torch.Tensor) -> None:
     model = self._robot.model
@@ -50,19 +43,15 @@ class Ghost:
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
       mesh = int(model.geom_dataid[geom])
       # MuJoCo stores a mesh about its centre of mass; drawings use the frame of the file.
-      back = quat_conjugate(self._constant(model.mesh_quat[mesh], quat)).expand(quat.shape[0], 4)
-      own = quat_mul(quat, back)
-      origin = pos - quat_apply(own, self._constant(model.mesh_pos[mesh], pos).expand(pos.shape[0], 3))
+      own = quat_mul(quat, quat_conjugate(quat.new_tensor(model.mesh_quat[mesh])))
+      origin = pos - quat_apply(own, pos.new_tensor(model.mesh_pos[mesh]))
       draw.meshes(model.mesh(mesh).name, origin, own, COLOR)
     elif kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-      along = quat_apply(quat, self._constant([0.0, 0.0, float(size[1])], pos).expand(pos.shape[0], 3))
+      along = quat_apply(quat, pos.new_tensor([0.0, 0.0, size[1]]))
       draw.lines(pos - along, pos + along, COLOR, float(size[0]))
     elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
       draw.spheres(pos, float(size[0]), COLOR)
     else:
       # Boxes and cylinders are drawn as inscribed ellipsoids; a cylinder's size has its radius once.
       radii = [size[0], size[0], size[1]] if kind == mujoco.mjtGeom.mjGEOM_CYLINDER else size
-      draw.ellipsoids(pos, quat, self._constant(radii, pos).expand(pos.shape[0], 3), COLOR)
-
-  def _constant(self, value: object, like: torch.Tensor) -> torch.Tensor:
-    return torch.as_tensor(np.asarray(value), dtype=like.dtype, device=like.device)
+      draw.ellipsoids(pos, quat, pos.new_tensor(radii).expand_as(pos), COLOR)

@@ -1,6 +1,6 @@
 """Forward kinematics of a robot for many frames at once, on any device."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -13,13 +13,6 @@ from mjlab_motions.motion import Motion
 from mjlab_motions.timeline import angular_velocity, derivative
 
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_GEOMS = {
-  "sphere": mujoco.mjtGeom.mjGEOM_SPHERE,
-  "capsule": mujoco.mjtGeom.mjGEOM_CAPSULE,
-  "cylinder": mujoco.mjtGeom.mjGEOM_CYLINDER,
-  "ellipsoid": mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-  "box": mujoco.mjtGeom.mjGEOM_BOX,
-}
 
 
 class Kinematics:
@@ -44,19 +37,21 @@ class Kinematics:
       raise MjlabError(f"a motion needs a robot with one floating base; the model has: {found}")
     root = roots[0]
     self._bodies = [b for b in range(root, model.nbody) if model.body_rootid[b] == root]
-    joints = [j for b in self._bodies for j in _joints(model, b)]
+    self.rows = {body: row for row, body in enumerate(self._bodies)}
+    """Row of each body by its id in the model."""
+    joints = [j for j in range(model.njnt) if j not in free and int(model.jnt_bodyid[j]) in self.rows]
     if strange := [model.joint(j).name for j in joints if model.jnt_type[j] not in (_HINGE, _SLIDE)]:
       raise MjlabError(f"joint '{strange[0]}' is neither hinge nor slide; motions have no other joints")
-    if crowded := [model.body(b).name for b in self._bodies if len(_joints(model, b)) > 1]:
-      raise MjlabError(f"body '{crowded[0]}' has several joints; give each a body of its own")
+    moved = model.jnt_bodyid[joints].tolist()
+    if crowded := [model.body(body).name for body in moved if moved.count(body) > 1]:
+      raise MjlabError(f"body '{crowded[0]}' has several joints; give each joint a separate body")
     self.joint_ids = joints
     """Ids of the joints in the model."""
     self.joint_names = tuple(self.local_name(model.joint(j).name) for j in joints)
     """Names of the joints in the model's order, without the free one."""
     self.body_names = tuple(self.local_name(model.body(b).name) for b in self._bodies)
     """Names of the bodies in the model's order; the first is the root."""
-    self._column = {joint: column for column, joint in enumerate(joints)}
-    self._row = {body: row for row, body in enumerate(self._bodies)}
+    self._column = {body: column for column, body in enumerate(moved)}
 
   @property
   def root_body(self) -> str:
@@ -82,12 +77,13 @@ class Kinematics:
     model, q = self.model, joint_pos
     position, orientation = [root_pos], [root_quat]
     for body in self._bodies[1:]:
-      parent = self._row[int(model.body_parentid[body])]
-      pos = position[parent] + quat_apply(orientation[parent], self._constant(model.body_pos[body], q))
-      quat = quat_mul(orientation[parent], self._constant(model.body_quat[body], q).expand(q.shape[0], 4))
-      for joint in _joints(model, body):
-        axis, anchor = self._constant(model.jnt_axis[joint], q), self._constant(model.jnt_pos[joint], q)
-        moved = q[:, self._column[joint], None] - float(model.qpos0[model.jnt_qposadr[joint]])
+      parent = self.rows[int(model.body_parentid[body])]
+      pos = position[parent] + quat_apply(orientation[parent], q.new_tensor(model.body_pos[body]))
+      quat = quat_mul(orientation[parent], q.new_tensor(model.body_quat[body]))
+      if (column := self._column.get(body)) is not None:
+        joint = self.joint_ids[column]
+        axis, anchor = q.new_tensor(model.jnt_axis[joint]), q.new_tensor(model.jnt_pos[joint])
+        moved = q[:, column, None] - float(model.qpos0[model.jnt_qposadr[joint]])
         if model.jnt_type[joint] == _SLIDE:
           pos = pos + quat_apply(quat, moved * axis)
         else:
@@ -118,16 +114,17 @@ class Kinematics:
     model = self.model
     linear, angular = [root_lin_vel], [root_ang_vel]
     for row, body in enumerate(self._bodies[1:], start=1):
-      parent = self._row[int(model.body_parentid[body])]
+      parent = self.rows[int(model.body_parentid[body])]
       spin = angular[parent]
       moving = linear[parent] + cross(spin, body_pos[:, row] - body_pos[:, parent])
-      for joint in _joints(model, body):
-        axis = quat_apply(body_quat[:, row], self._constant(model.jnt_axis[joint], joint_vel))
-        rate = joint_vel[:, self._column[joint], None] * axis
+      if (column := self._column.get(body)) is not None:
+        joint = self.joint_ids[column]
+        axis = quat_apply(body_quat[:, row], joint_vel.new_tensor(model.jnt_axis[joint]))
+        rate = joint_vel[:, column, None] * axis
         if model.jnt_type[joint] == _SLIDE:
           moving = moving + rate
         else:
-          arm = quat_apply(body_quat[:, row], self._constant(model.jnt_pos[joint], joint_vel))
+          arm = quat_apply(body_quat[:, row], joint_vel.new_tensor(model.jnt_pos[joint]))
           spin, moving = spin + rate, moving - cross(rate, arm)
       linear.append(moving)
       angular.append(spin)
@@ -151,15 +148,24 @@ class Kinematics:
 
   def center_of_mass(self, body_pos: torch.Tensor, body_quat: torch.Tensor) -> torch.Tensor:
     """Return the centre of mass of the whole robot in the world, (frames, 3) [m]."""
-    mass = self._constant(self.model.body_mass[self._bodies], body_pos)
-    centers = body_pos + quat_apply(body_quat, self._constant(self.model.body_ipos[self._bodies], body_pos))
+    mass = body_pos.new_tensor(self.model.body_mass[self._bodies])
+    centers = body_pos + quat_apply(body_quat, body_pos.new_tensor(self.model.body_ipos[self._bodies]))
     return (centers * mass[:, None]).sum(1) / mass.sum()
 
   def collision_geoms(self) -> list[int]:
     """Return the ids of the robot's geoms that can touch something."""
     model = self.model
     touches = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
-    return [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self._row and touches[g]]
+    return [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in self.rows and touches[g]]
+
+  def geom_poses(
+    self, geoms: Sequence[int], body_pos: torch.Tensor, body_quat: torch.Tensor
+  ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return position (frames, geoms, 3) [m] and orientation (frames, geoms, 4) of the robot's geoms in the world."""
+    model, rows = self.model, [self.rows[body] for body in self.model.geom_bodyid[geoms].tolist()]
+    turn = body_quat[:, rows]
+    pos = body_pos[:, rows] + quat_apply(turn, body_pos.new_tensor(model.geom_pos[geoms]))
+    return pos, quat_mul(turn, body_pos.new_tensor(model.geom_quat[geoms]))
 
   def lowest_points(self, body_pos: torch.Tensor, body_quat: torch.Tensor) -> tuple[torch.Tensor, list[int]]:
     """Return the lowest point of each collision geom, (frames, geoms, 3) [m], and the row of its body.
@@ -167,37 +173,35 @@ class Kinematics:
     Raises:
       MjlabError: A collision geom is neither sphere, capsule, cylinder, ellipsoid nor box.
     """
-    model = self.model
-    points, rows = [], []
-    for geom in self.collision_geoms():
-      row = self._row[int(model.geom_bodyid[geom])]
-      center = body_pos[:, row] + quat_apply(body_quat[:, row], self._constant(model.geom_pos[geom], body_pos))
-      turned = self._constant(model.geom_quat[geom], body_pos).expand(body_pos.shape[0], 4)
-      # Down, seen in the geom: the support point of the shape in that direction is its lowest.
-      turn = matrix_from_quat(quat_mul(body_quat[:, row], turned))
-      offset = self._support(geom, -turn[:, 2, :])
-      points.append(center + (turn @ offset[..., None]).squeeze(-1))
-      rows.append(row)
-    if not points:
+    geoms = self.collision_geoms()
+    if not geoms:
       raise MjlabError("the robot has no collision geoms, so its lowest point is not known")
-    return torch.stack(points, 1), rows
+    pos, quat = self.geom_poses(geoms, body_pos, body_quat)
+    edges, axes = pos.new_tensor([self._edges_and_axes(geom) for geom in geoms]).unbind(1)
+    # Down, seen in the geom: the support point of the shape in that direction is its lowest.
+    turn = matrix_from_quat(quat)
+    down = -turn[..., 2, :]
+    round_part = down * axes
+    length = torch.linalg.vector_norm(round_part, dim=-1, keepdim=True).clamp(min=1e-12)
+    offset = torch.where(down < 0.0, -edges, edges) + round_part * axes / length
+    return pos + (turn @ offset[..., None]).squeeze(-1), [
+      self.rows[body] for body in self.model.geom_bodyid[geoms].tolist()
+    ]
 
-  def _support(self, geom: int, direction: torch.Tensor) -> torch.Tensor:
-    kind, (a, b, c) = int(self.model.geom_type[geom]), self.model.geom_size[geom]
-    sign = torch.where(direction < 0.0, -1.0, 1.0).to(direction.dtype)
-    if kind == _GEOMS["sphere"]:
-      return a * direction
-    if kind == _GEOMS["capsule"]:
-      return torch.cat((a * direction[:, :2], a * direction[:, 2:] + b * sign[:, 2:]), -1)
-    if kind == _GEOMS["box"]:
-      return sign * torch.tensor([a, b, c], dtype=direction.dtype, device=direction.device)
-    if kind == _GEOMS["ellipsoid"]:
-      scaled = direction * torch.tensor([a, b, c], dtype=direction.dtype, device=direction.device)
-      length = torch.linalg.vector_norm(scaled, dim=-1, keepdim=True)
-      return scaled * torch.tensor([a, b, c], dtype=direction.dtype, device=direction.device) / length
-    if kind == _GEOMS["cylinder"]:
-      side = torch.linalg.vector_norm(direction[:, :2], dim=-1, keepdim=True).clamp(min=1e-12)
-      return torch.cat((a * direction[:, :2] / side, b * sign[:, 2:]), -1)
+  def _edges_and_axes(self, geom: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the half edges of a box and the semi-axes of an ellipsoid whose sum is the geom [m]."""
+    a, b, c = self.model.geom_size[geom].tolist()
+    match self.model.geom_type[geom]:
+      case mujoco.mjtGeom.mjGEOM_SPHERE:
+        return (0.0, 0.0, 0.0), (a, a, a)
+      case mujoco.mjtGeom.mjGEOM_CAPSULE:
+        return (0.0, 0.0, b), (a, a, a)
+      case mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return (0.0, 0.0, b), (a, a, 0.0)
+      case mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+        return (0.0, 0.0, 0.0), (a, b, c)
+      case mujoco.mjtGeom.mjGEOM_BOX:
+        return (a, b, c), (0.0, 0.0, 0.0)
     raise MjlabError(f"geom '{self.model.geom(geom).name}' is a mesh or a plane; its lowest point is not known")
 
   def columns_of(self, motion: Motion) -> torch.Tensor:
@@ -219,15 +223,6 @@ class Kinematics:
   def local_name(self, name: str) -> str:
     """Return a name of the model without the prefix."""
     return name.removeprefix(self.prefix)
-
-  def _constant(self, value: Any, like: torch.Tensor) -> torch.Tensor:
-    return torch.as_tensor(np.asarray(value), dtype=like.dtype, device=like.device)
-
-
-def _joints(model: mujoco.MjModel, body: int) -> list[int]:
-  first = int(model.body_jntadr[body])
-  joints = range(first, first + int(model.body_jntnum[body]))
-  return [j for j in joints if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_FREE]
 
 
 def derived_arrays(motion: Motion, robot: Kinematics) -> dict[str, np.ndarray]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from itertools import accumulate
 
 import torch
 from mjlab_core.names import check_name
@@ -22,7 +23,6 @@ class MotionLibrary:
     bodies: Names of the bodies to keep, in order.
     rate: Frames per second of the buffer, usually the control rate [Hz].
     weights: One per clip; None: equal weights.
-    bin_seconds: Approximate length of a bin [s]; a clip has at least one bin.
     dtype: Precision of the rows.
 
   Raises:
@@ -38,7 +38,6 @@ class MotionLibrary:
     *,
     rate: float,
     weights: Sequence[float] | None = None,
-    bin_seconds: float = 1.0,
     dtype: torch.dtype = torch.float32,
   ) -> None:
     for body in bodies:
@@ -47,41 +46,30 @@ class MotionLibrary:
     rows = [robot.body_names.index(body) for body in bodies]
     self.joint_names, self.body_names, self.rate = robot.joint_names, tuple(bodies), rate
     self.clip_names = tuple(motion.name for motion in motions)
-    blocks, lengths, bins = [], [], []
-    for motion in motions:
-      motion = resample(motion, rate)
-      blocks.append(_rows(motion, robot, rows).to(dtype))
-      lengths.append(motion.num_frames)
-      # A start needs a frame after it, so the last frame is in no bin of starts.
-      bins.append(min(max(1, round((motion.num_frames - 1) / rate / bin_seconds)), motion.num_frames - 1))
+    motions = [resample(motion, rate) for motion in motions]
     n, b = len(robot.joint_names), len(rows)
     widths = {"joint_pos": n, "joint_vel": n, "body_pos": 3 * b, "body_quat": 4 * b, "lin_vel": 3 * b, "ang_vel": 3 * b}
-    starts = [sum(list(widths.values())[:i]) for i in range(len(widths))]
-    self.columns = {name: slice(at, at + width) for (name, width), at in zip(widths.items(), starts, strict=True)}
+    ends = accumulate(widths.values())
+    self.columns = {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
     """Columns of each quantity in a row; those of bodies are flattened."""
-    self.table = torch.cat(blocks)
+    self.table = torch.cat([_rows(motion, robot, rows).to(dtype) for motion in motions])
     """All frames of all clips, (frames, width)."""
 
-    def whole(values: Sequence[int]) -> torch.Tensor:
-      return torch.tensor(values, dtype=torch.int64, device=device)
-
-    self.lengths = whole(lengths)
+    # A start needs a frame after it, so the last frame is in no bin of starts.
+    steps = torch.tensor([motion.num_frames - 1 for motion in motions], device=device)
+    self.lengths = steps + 1
     """Frames of each clip, (clips,)."""
-    self.offsets = whole([sum(lengths[:i]) for i in range(len(lengths))])
+    self.offsets = self.lengths.cumsum(0) - self.lengths
     """Row of the first frame of each clip, (clips,)."""
-    self.bin_counts = whole(bins)
-    """Bins of each clip, (clips,)."""
-    self.bin_offsets = whole([sum(bins[:i]) for i in range(len(bins))])
-    """Number of the first bin of each clip, (clips,)."""
-    self.clip_of_bin = whole([clip for clip, count in enumerate(bins) for _ in range(count)])
+    self.bin_counts = (steps.double() / rate).round().long().clamp(min=1).minimum(steps)
+    """Bins of each clip, about one for each second, (clips,)."""
+    self.clip_of_bin = torch.arange(len(motions), device=device).repeat_interleave(self.bin_counts)
     """Clip of each bin, (bins,)."""
-    first, last = [], []
-    for length, count in zip(lengths, bins, strict=True):
-      edges = [(length - 1) * i // count for i in range(count + 1)]
-      first += edges[:-1]
-      last += edges[1:]
-    self.bin_first, self.bin_end = whole(first), whole(last)
+    steps, count = steps[self.clip_of_bin], self.bin_counts[self.clip_of_bin]
+    bins = torch.arange(count.numel(), device=device) - (self.bin_counts.cumsum(0) - self.bin_counts)[self.clip_of_bin]
+    self.bin_first, self.bin_end = bins * steps // count, (bins + 1) * steps // count
     """Frames of each bin within its clip: the first, and the one after the last, (bins,)."""
+    self._bin_rows = self.offsets[self.clip_of_bin] + self.bin_first
     weight = torch.tensor(list(weights or [1.0] * len(motions)), dtype=torch.float64, device=device)
     frames = (self.bin_end - self.bin_first).double()
     share = frames * weight[self.clip_of_bin]
@@ -103,11 +91,12 @@ class MotionLibrary:
 
   def bin_of(self, clip: torch.Tensor, frame: torch.Tensor) -> torch.Tensor:
     """Return the number of the bin of frames within clips, (...)."""
-    count = self.bin_counts[clip]
-    steps = (self.lengths[clip] - 1).clamp(min=1)
-    # The edges of bins are rounded down, so a frame's bin is that of the next frame's share, rounded up, less one.
-    within = ((frame + 1) * count - 1).div(steps, rounding_mode="floor")
-    return self.bin_offsets[clip] + within.clamp(max=count - 1)
+    return torch.searchsorted(self._bin_rows, self.offsets[clip] + frame, right=True) - 1
+
+  def part(self, rows: torch.Tensor, name: str) -> torch.Tensor:
+    """Return a quantity of `columns` in rows of the table: (n, joints), or (n, bodies, 3 or 4) for one of bodies."""
+    values = rows[:, self.columns[name]]
+    return values if name.startswith("joint") else values.unflatten(1, (len(self.body_names), -1))
 
   def __repr__(self) -> str:
     seconds = float((self.lengths - 1).sum()) / self.rate

@@ -63,7 +63,7 @@ class MotionSampler(Stateful):
     weights = torch.tensor([cfg.decay**i for i in range(cfg.lookahead)], device=device)
     self._spread_weights = (weights / weights.sum()).tolist()
     # Successors of each bin. The last bin of a clip is its own successor, so nothing leaks into the clip before.
-    last = (library.bin_offsets + library.bin_counts - 1)[library.clip_of_bin]
+    last = (library.bin_counts.cumsum(0) - 1)[library.clip_of_bin]
     at = torch.arange(bins, device=device)
     self._successors = [torch.minimum(at + i, last) for i in range(cfg.lookahead)]
 
