@@ -141,36 +141,35 @@ class MotionCommand(CommandTerm):
 
   def clip_arrays(self) -> dict[str, np.ndarray]:
     """Return the clip that the first world follows: joints, and the anchor in the world, frame by frame."""
-    library, clip = self.library, int(self.clip[0])
-    first = int(library.offsets[clip])
-    rows = library.table[first : first + int(library.lengths[clip])].cpu()
-    of_anchor = {
-      name: rows[:, library.columns[column]].unflatten(1, (len(library.body_names), -1))[:, self.anchor]
-      for name, column in (("anchor_position", "body_pos"), ("anchor_orientation", "body_quat"))
+    clip = self._first_clip()
+    arrays = {
+      "joint_position": clip["joint_pos"],
+      "joint_velocity": clip["joint_vel"],
+      "anchor_position": clip["body_pos"][:, self.anchor] + self.env.scene.env_origins[:1].cpu(),
+      "anchor_orientation": clip["body_quat"][:, self.anchor],
     }
-    of_anchor["anchor_position"] = of_anchor["anchor_position"] + self.env.scene.env_origins[:1].cpu()
-    joints = {f"joint_{name}": rows[:, library.columns[f"joint_{name[:3]}"]] for name in ("position", "velocity")}
-    return {name: value.numpy().astype(np.float64) for name, value in {**joints, **of_anchor}.items()}
+    return {name: value.numpy().astype(np.float64) for name, value in arrays.items()}
 
   def reference_arrays(self) -> dict[str, np.ndarray]:
     """Return the clip that the first world follows with all bodies, under the keys that BeyondMimic and mjlab read."""
-    library, clip = self.library, int(self.clip[0])
-    first, robot = int(library.offsets[clip]), Kinematics(self.env.sim.mj_model, self.robot.prefix)
-    rows = library.table[first : first + int(library.lengths[clip])].cpu().double()
-    root = {
-      name: rows[:, library.columns[name]].unflatten(1, (len(library.body_names), -1))[:, self._root]
-      for name in ("body_pos", "body_quat")
-    }
+    robot = Kinematics(self.env.sim.mj_model, self.robot.prefix)
+    clip = {name: value.double() for name, value in self._first_clip().items()}
     motion = Motion(
-      name=library.clip_names[clip],
-      rate=library.rate,
+      name=self.library.clip_names[int(self.clip[0])],
+      rate=self.library.rate,
       root_body=robot.root_body,
-      joint_names=tuple(library.joint_names),
-      root_pos=root["body_pos"],
-      root_quat=root["body_quat"],
-      joint_pos=rows[:, library.columns["joint_pos"]],
+      joint_names=robot.joint_names,
+      root_pos=clip["body_pos"][:, self._root],
+      root_quat=clip["body_quat"][:, self._root],
+      joint_pos=clip["joint_pos"],
     )
     return {"joint_pos": motion.joint_pos.numpy().astype(np.float32), **derived_arrays(motion, robot)}
+
+  def _first_clip(self) -> dict[str, torch.Tensor]:
+    """Return all quantities of the clip that the first world follows, frame by frame, on the CPU."""
+    library, clip = self.library, int(self.clip[0])
+    rows = library.table[int(library.offsets[clip]) :][: int(library.lengths[clip])].cpu()
+    return {name: library.part(rows, name) for name in library.columns}
 
   @property
   def num_frames(self) -> torch.Tensor:
@@ -180,12 +179,12 @@ class MotionCommand(CommandTerm):
   @property
   def joint_pos(self) -> torch.Tensor:
     """Joint positions of the reference, (num_envs, joints) [rad]."""
-    return self._row[:, self.library.columns["joint_pos"]]
+    return self._part("joint_pos")
 
   @property
   def joint_vel(self) -> torch.Tensor:
     """Joint velocities of the reference, (num_envs, joints) [rad/s]."""
-    return self._row[:, self.library.columns["joint_vel"]]
+    return self._part("joint_vel")
 
   @property
   def body_pos_w(self) -> torch.Tensor:
@@ -223,7 +222,7 @@ class MotionCommand(CommandTerm):
     return self._part("body_pos") + self.env.scene.env_origins[:, None]
 
   def _part(self, name: str) -> torch.Tensor:
-    return self._row[:, self.library.columns[name]].unflatten(1, (len(self.library.body_names), -1))
+    return self.library.part(self._row, name)
 
   def of_bodies(self, values: torch.Tensor, bodies: Sequence[str]) -> torch.Tensor:
     """Return the columns of `bodies` in a quantity of the followed bodies, (N, bodies, ...).

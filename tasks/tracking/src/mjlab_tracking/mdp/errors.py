@@ -52,10 +52,10 @@ _ERRORS: dict[Quantity, Callable[[MotionCommand], torch.Tensor]] = {
   "anchor_rot": lambda term: quat_error_magnitude(term.anchor_quat_w, term.robot_anchor_quat_w),
   "anchor_lin_vel": lambda term: body_speed_error(term)[:, term.anchor],
   "anchor_ang_vel": lambda term: body_spin_error(term)[:, term.anchor],
-  "body_pos": lambda term: body_distance(term).mean(-1),
-  "body_rot": lambda term: body_angle(term).mean(-1),
-  "body_lin_vel": lambda term: body_speed_error(term).mean(-1),
-  "body_ang_vel": lambda term: body_spin_error(term).mean(-1),
+  "body_pos": body_distance,
+  "body_rot": body_angle,
+  "body_lin_vel": body_speed_error,
+  "body_ang_vel": body_spin_error,
   "joint_pos": lambda term: norm(term.joint_pos - term.robot.data.joint_pos),
   "joint_vel": lambda term: norm(term.joint_vel - term.robot.data.joint_vel),
 }
@@ -70,7 +70,8 @@ def motion_error(env: "ManagerBasedRlEnv", *, command: str, quantity: Quantity) 
     UnknownNameError: The quantity does not exist.
   """
   check_name("quantity", quantity, QUANTITIES)
-  return _ERRORS[quantity](motion(env, command))
+  error = _ERRORS[quantity](motion(env, command))
+  return error if error.dim() == 1 else error.mean(-1)
 
 
 def mpkpe(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:

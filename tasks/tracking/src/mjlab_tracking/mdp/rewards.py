@@ -68,7 +68,7 @@ class motion_contact(ManagerTermBase):
     self._term, self._bodies, self._sensor = motion(env, command), bodies, env.scene[sensor]
     self._height, self._speed = height, speed
     library = self._term.library
-    heights = library.table[:, library.columns["body_pos"]].unflatten(1, (-1, 3))[..., 2]
+    heights = library.part(library.table, "body_pos")[..., 2]
     self._ground = self._term.of_bodies(heights, bodies).amin(0)
 
   def __call__(self) -> torch.Tensor:
