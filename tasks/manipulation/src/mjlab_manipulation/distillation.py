@@ -5,8 +5,7 @@ from dataclasses import replace
 from mjlab_envs import ManagerBasedRlEnvCfg
 from mjlab_rl import RslRlDistillationRunnerCfg, TaskCfg
 
-from mjlab_manipulation.evaluation import LiftEvaluation
-from mjlab_manipulation.lift import play
+from mjlab_manipulation.lift import lift_task
 from mjlab_manipulation.lift_objects import lift_objects_depth_env, lift_objects_rgb_env
 from mjlab_manipulation.vision import lift_cube_depth_env, lift_cube_rgb_env, vision_agent
 
@@ -40,7 +39,7 @@ def _task(env: ManagerBasedRlEnvCfg, experiment_name: str, teacher: str) -> Task
   env.observations["teacher"] = env.observations.pop("critic")
   # Rewards are only logged, so they keep one meaning over the training.
   env.curriculum = {}
-  return TaskCfg(env=env, play=play, agent=distillation_agent(experiment_name, teacher), evaluator=LiftEvaluation())
+  return lift_task(env, distillation_agent(experiment_name, teacher))
 
 
 def distillation_agent(experiment_name: str, teacher: str) -> RslRlDistillationRunnerCfg:

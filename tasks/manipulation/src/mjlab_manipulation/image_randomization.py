@@ -71,9 +71,9 @@ def randomize_images(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
   channels: tuple[lifting.Channel, ...] = image.params["channels"]
   focal = randomize_field("cam_intrinsic", _CAMERA, FOCAL_LENGTH, axes=("fx", "fy"), operation="scale", isotropic=True)
   cfg.events |= {
-    "image_camera_pos": _event(randomize_field("cam_pos", _CAMERA, (-CAMERA_SHIFT, CAMERA_SHIFT)), "startup"),
-    "image_camera_turn": _event(randomize_field("cam_quat", _CAMERA, (-CAMERA_TURN, CAMERA_TURN)), "startup"),
-    "image_camera_focal": _event(focal, "startup"),
+    "image_camera_pos": randomize_event(randomize_field("cam_pos", _CAMERA, (-CAMERA_SHIFT, CAMERA_SHIFT)), "startup"),
+    "image_camera_turn": randomize_event(randomize_field("cam_quat", _CAMERA, (-CAMERA_TURN, CAMERA_TURN)), "startup"),
+    "image_camera_focal": randomize_event(focal, "startup"),
   }
   if "rgb" in channels:
     _vary_looks(cfg)
@@ -116,6 +116,12 @@ def add_looks(spec: mujoco.MjSpec) -> None:
       geom.material = name
 
 
+def randomize_event(randomizer: FieldRandomizer, mode: EventMode, entity: str | None = "robot") -> EventTermCfg:
+  """Return an event that draws a field of an entity; None: of the scene itself."""
+  asset = None if entity is None else SceneEntityCfg(entity)
+  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, "asset": asset})
+
+
 def _vary_looks(cfg: ManagerBasedRlEnvCfg) -> None:
   if cfg.scene.spec_fn is not None:
     raise MjlabError("the scene has a spec_fn; call add_looks in it, and add the events")
@@ -126,15 +132,17 @@ def _vary_looks(cfg: ManagerBasedRlEnvCfg) -> None:
     "mat_texrepeat", _GROUND, GROUND_SQUARES, distribution="log_uniform", operation="scale", isotropic=True
   )
   cfg.events |= {
-    "image_light_pos": _event(randomize_field("light_pos", _LIGHT, (-LIGHT_SHIFT, LIGHT_SHIFT)), "startup"),
-    "image_light": _event(light, "reset"),
-    "image_ground": _event(randomize_field("mat_texid", _GROUND, texture), "reset", None),
-    "image_ground_color": _event(randomize_field("mat_rgba", _GROUND, GROUND_TINT, axes=_COLORS), "reset", None),
-    "image_ground_squares": _event(squares, "reset", None),
+    "image_light_pos": randomize_event(randomize_field("light_pos", _LIGHT, (-LIGHT_SHIFT, LIGHT_SHIFT)), "startup"),
+    "image_light": randomize_event(light, "reset"),
+    "image_ground": randomize_event(randomize_field("mat_texid", _GROUND, texture), "reset", None),
+    "image_ground_color": randomize_event(
+      randomize_field("mat_rgba", _GROUND, GROUND_TINT, axes=_COLORS), "reset", None
+    ),
+    "image_ground_squares": randomize_event(squares, "reset", None),
   }
   commands = [command for command in cfg.commands.values() if isinstance(command, lifting.LiftCommandCfg)]
   for name in commands[0].objects if commands else ():
-    cfg.events[f"image_{name}_texture"] = _event(randomize_field("mat_texid", LOOK, texture), "reset", name)
+    cfg.events[f"image_{name}_texture"] = randomize_event(randomize_field("mat_texid", LOOK, texture), "reset", name)
 
 
 def _camera_noise(channels: tuple[lifting.Channel, ...]) -> CameraNoiseCfg:
@@ -150,11 +158,6 @@ def _camera_noise(channels: tuple[lifting.Channel, ...]) -> CameraNoiseCfg:
       noise = replace(noise, lost=(*noise.lost, place))
     place += 3 if channel == "rgb" else 1
   return noise
-
-
-def _event(randomizer: FieldRandomizer, mode: EventMode, entity: str | None = "robot") -> EventTermCfg:
-  asset = None if entity is None else SceneEntityCfg(entity)
-  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, "asset": asset})
 
 
 def _images(cfg: ManagerBasedRlEnvCfg) -> tuple[ObservationGroupCfg | None, ObservationTermCfg | None]:

@@ -1,6 +1,8 @@
 """Lift tasks: the environment of any arm, and those of the YAM with one cube, with joint or Cartesian actions."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, Literal
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
@@ -15,7 +17,7 @@ from mjlab_managers import (
   TerminationTermCfg,
   UniformNoiseCfg,
 )
-from mjlab_rl import RslRlOnPolicyRunnerCfg, TaskCfg, control_agent
+from mjlab_rl import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg, control_agent
 from mjlab_scene import EntityCfg, SceneCfg
 from mjlab_sensors import ContactMatch, ContactSensorCfg, SensorCfg
 from mjlab_sim import SimulationCfg
@@ -61,12 +63,17 @@ COMMAND = "lift_height"
 
 def lift_cube() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting a cube to a goal with joint position actions."""
-  return TaskCfg(env=lift_cube_env(), play=play, agent=agent("yam_lift_cube", 5_000), evaluator=LiftEvaluation())
+  return lift_task(lift_cube_env(), agent("yam_lift_cube", 5_000))
 
 
 def lift_cube_ik() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting a cube to a goal with Cartesian actions through inverse kinematics."""
-  return TaskCfg(env=lift_cube_ik_env(), play=play, agent=agent("yam_lift_cube_ik", 5_000), evaluator=LiftEvaluation())
+  return lift_task(lift_cube_ik_env(), agent("yam_lift_cube_ik", 5_000))
+
+
+def lift_task(env: ManagerBasedRlEnvCfg, learner: RslRlBaseRunnerCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
+  """Return the task of a lift environment and its learner."""
+  return TaskCfg(env=env, play=play, agent=learner, evaluator=LiftEvaluation())
 
 
 def lift_cube_env() -> ManagerBasedRlEnvCfg:
@@ -224,24 +231,23 @@ def _rewards(arm: LiftingArm) -> dict[str, RewardTermCfg | None]:
 
 
 def _metrics(hand_site: str) -> dict[str, MetricsTermCfg | None]:
-  command = {"command": COMMAND}
-  touch = {**command, "sensor": "fingers"}
-  goal = {**command, "within": TOLERANCE}
-  success = {**goal, "hold": HOLD}
+  def metric(
+    func: Callable[..., Any], reduce: Literal["mean", "last", "max"] = "mean", **params: object
+  ) -> MetricsTermCfg:
+    return MetricsTermCfg(func, reduce=reduce, params={"command": COMMAND, **params})
+
   return {
-    "reached": MetricsTermCfg(
-      lifting.reached, reduce="max", params={**command, "hand": hand(hand_site), "within": REACHED}
-    ),
-    "touched": MetricsTermCfg(lifting.touched, reduce="max", params=dict(touch)),
-    "grasped": MetricsTermCfg(lifting.grasped, reduce="max", params=dict(touch)),
-    "lifted": MetricsTermCfg(lifting.lifted, reduce="max", params={**command, "height": LIFTED}),
-    "held": MetricsTermCfg(lifting.held, reduce="max", params=dict(success)),
-    "dropped": MetricsTermCfg(lifting.dropped, reduce="last", params={**command, "low": FALLEN, "high": LIFTED}),
-    "time_to_success": MetricsTermCfg(lifting.time_to_success, reduce="last", params=dict(success)),
-    "finger_force": MetricsTermCfg(lifting.finger_force, reduce="max", params=dict(touch)),
-    "at_goal": MetricsTermCfg(lifting.at_goal, params=dict(goal)),
-    "position_error": MetricsTermCfg(lifting.position_error, params=dict(command)),
-    "object_height": MetricsTermCfg(lifting.object_height, params=dict(command)),
+    "reached": metric(lifting.reached, "max", hand=hand(hand_site), within=REACHED),
+    "touched": metric(lifting.touched, "max", sensor="fingers"),
+    "grasped": metric(lifting.grasped, "max", sensor="fingers"),
+    "lifted": metric(lifting.lifted, "max", height=LIFTED),
+    "held": metric(lifting.held, "max", within=TOLERANCE, hold=HOLD),
+    "dropped": metric(lifting.dropped, "last", low=FALLEN, high=LIFTED),
+    "time_to_success": metric(lifting.time_to_success, "last", within=TOLERANCE, hold=HOLD),
+    "finger_force": metric(lifting.finger_force, "max", sensor="fingers"),
+    "at_goal": metric(lifting.at_goal, within=TOLERANCE),
+    "position_error": metric(lifting.position_error),
+    "object_height": metric(lifting.object_height),
   }
 
 

@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 
-from mjlab_dr import FieldRandomizer, geom_friction, pseudo_inertia, randomize_field
-from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import EventMode, EventTermCfg, ObservationTermCfg, SceneEntityCfg
+from mjlab_dr import geom_friction, pseudo_inertia, randomize_field
+from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_managers import ObservationTermCfg
 from mjlab_rl import TaskCfg
 from mjlab_scene import VariantEntityCfg
 
 from mjlab_manipulation import mdp as lifting
-from mjlab_manipulation.evaluation import LiftEvaluation
-from mjlab_manipulation.image_randomization import randomize_images
-from mjlab_manipulation.lift import COMMAND, agent, hand, lift_env, play
+from mjlab_manipulation.image_randomization import randomize_event, randomize_images
+from mjlab_manipulation.lift import COMMAND, agent, hand, lift_env, lift_task
 from mjlab_manipulation.objects import OBJECTS
 from mjlab_manipulation.vision import see, vision_agent
 
@@ -28,21 +27,17 @@ FRICTION = (0.5, 1.5)
 
 def lift_objects() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting the object of each world, with its size and pose observed."""
-  return TaskCfg(env=lift_objects_env(), play=play, agent=agent("yam_lift_objects", 5_000), evaluator=LiftEvaluation())
+  return lift_task(lift_objects_env(), agent("yam_lift_objects", 5_000))
 
 
 def lift_objects_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting the object of each world from randomised depth images."""
-  return _seeing(lift_objects_depth_env())
+  return lift_task(lift_objects_depth_env(), vision_agent("yam_lift_objects_vision"))
 
 
 def lift_objects_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting the object of each world from colour images with randomised ground and light."""
-  return _seeing(lift_objects_rgb_env())
-
-
-def _seeing(env: ManagerBasedRlEnvCfg) -> TaskCfg[ManagerBasedRlEnvCfg]:
-  return TaskCfg(env=env, play=play, agent=vision_agent("yam_lift_objects_vision"), evaluator=LiftEvaluation())
+  return lift_task(lift_objects_rgb_env(), vision_agent("yam_lift_objects_vision"))
 
 
 def lift_objects_env() -> ManagerBasedRlEnvCfg:
@@ -58,8 +53,8 @@ def lift_objects_env() -> ManagerBasedRlEnvCfg:
       "object_in_hand": ObservationTermCfg(lifting.object_in_hand, params={"command": COMMAND, "hand": hand()}),
     }
   cfg.events |= {
-    "object_mass": _event(pseudo_inertia(".*", alpha=MASS), "startup"),
-    "object_friction": _event(geom_friction(".*", FRICTION, shared=True), "startup"),
+    "object_mass": randomize_event(pseudo_inertia(".*", alpha=MASS), "startup", OBJECT),
+    "object_friction": randomize_event(geom_friction(".*", FRICTION, shared=True), "startup", OBJECT),
   }
   return cfg
 
@@ -76,9 +71,5 @@ def lift_objects_rgb_env() -> ManagerBasedRlEnvCfg:
   cfg = lift_objects_env()
   see(cfg, ("rgb",))
   color = randomize_field("geom_rgba", ".*", (0.0, 1.0), axes=("red", "green", "blue"), shared=True)
-  cfg.events["object_color"] = _event(color, "reset")
+  cfg.events["object_color"] = randomize_event(color, "reset", OBJECT)
   return randomize_images(cfg)
-
-
-def _event(randomizer: FieldRandomizer, mode: EventMode) -> EventTermCfg:
-  return EventTermCfg(mdp.randomize, mode=mode, params={"randomizer": randomizer, "asset": SceneEntityCfg(OBJECT)})

@@ -4,16 +4,16 @@ import copy
 from dataclasses import replace
 
 from mjlab_dr import randomize_field
-from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_managers import EventTermCfg, ObservationGroupCfg, ObservationTermCfg, SceneEntityCfg
+from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_managers import ObservationGroupCfg, ObservationTermCfg
 from mjlab_rl import RslRlModelCfg, RslRlOnPolicyRunnerCfg, TaskCfg
 from mjlab_scene import EntityCfg
 from mjlab_sensors import CameraSensorCfg
 from mjlab_terrain import PlaneCfg
 
 from mjlab_manipulation import mdp as lifting
-from mjlab_manipulation.evaluation import LiftEvaluation
-from mjlab_manipulation.lift import COMMAND, agent, hand, lift_cube_env, lift_env, play, proprioception
+from mjlab_manipulation.image_randomization import randomize_event
+from mjlab_manipulation.lift import COMMAND, agent, hand, lift_cube_env, lift_env, lift_task, proprioception
 from mjlab_manipulation.objects import blue_cube_spec, green_cube_spec, red_cube_spec
 
 # Images
@@ -41,21 +41,17 @@ ITERATIONS = 3_000
 
 def lift_cube_depth() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting a cube from depth images."""
-  return _task(lift_cube_depth_env(), "yam_lift_cube_vision")
+  return lift_task(lift_cube_depth_env(), vision_agent("yam_lift_cube_vision"))
 
 
 def lift_cube_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting a cube from colour images, with a random cube colour in each episode."""
-  return _task(lift_cube_rgb_env(), "yam_lift_cube_vision")
+  return lift_task(lift_cube_rgb_env(), vision_agent("yam_lift_cube_vision"))
 
 
 def multi_cube_seg() -> TaskCfg[ManagerBasedRlEnvCfg]:
   """Return the task of lifting the marked one of three cubes."""
-  return _task(multi_cube_seg_env(), "yam_multi_cube_seg")
-
-
-def _task(env: ManagerBasedRlEnvCfg, experiment_name: str) -> TaskCfg[ManagerBasedRlEnvCfg]:
-  return TaskCfg(env=env, play=play, agent=vision_agent(experiment_name), evaluator=LiftEvaluation())
+  return lift_task(multi_cube_seg_env(), vision_agent("yam_multi_cube_seg"))
 
 
 def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
@@ -69,16 +65,8 @@ def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with colour images."""
   cfg = lift_cube_env()
   see(cfg, ("rgb",))
-  cfg.events["cube_color"] = EventTermCfg(
-    mdp.randomize,
-    mode="reset",
-    params={
-      "randomizer": randomize_field(
-        "geom_rgba", "cube", (0.0, 1.0), axes=("red", "green", "blue"), operation="absolute"
-      ),
-      "asset": SceneEntityCfg("cube"),
-    },
-  )
+  color = randomize_field("geom_rgba", "cube", (0.0, 1.0), axes=("red", "green", "blue"), operation="absolute")
+  cfg.events["cube_color"] = randomize_event(color, "reset", "cube")
   return cfg
 
 

@@ -1,5 +1,6 @@
 """Camera images as observations, channels first."""
 
+from functools import partial
 from typing import TYPE_CHECKING, Literal, get_args
 
 import mujoco
@@ -53,6 +54,7 @@ class camera_image(ManagerTermBase):
       check_name("channel", channel, get_args(Channel))
       check_name("image", DATA_OF_CHANNEL[channel], env.scene[sensor].cfg.data_types, f"sensor '{sensor}'")
     self._sensor, self._channels, self._depth_range = env.scene[sensor], channels, depth_range
+    self._kinds: tuple[DataType, ...] = tuple(dict.fromkeys(DATA_OF_CHANNEL[channel] for channel in channels))
     if "object" in channels:
       self._lift = lift_command(env, require(command, str, "channel 'object' requires `command`, the lift command"))
       objects = self._lift.cfg.objects
@@ -61,45 +63,37 @@ class camera_image(ManagerTermBase):
         self._is_geom_of[0, i, env.scene[name].indexing.ids["geom"].tolist()] = True
 
   def source(self) -> TermSource:
-    (near, far), channels = self._depth_range, self._channels
-    name = f"camera/{self._sensor.name}"
-    needed: dict[str, Reading] = {}
-    if "rgb" in channels:
-      needed["rgb"] = image_of(self._sensor, "rgb", lambda: self._sensor.data.rgb_float)
-    if {"depth", "valid"} & set(channels):
-      needed["depth"] = image_of(self._sensor, "depth", lambda: self._sensor.data.depth)
-    if "object" in channels:
-      start = sum(3 if channel == "rgb" else 1 for channel in channels[: channels.index("object")])
-      needed["object"] = Reading(name=f"{name}/object_mask", read=lambda: self()[:, start : start + 1])
-
-    def compute(*images: torch.Tensor) -> torch.Tensor:
-      seen = dict(zip(needed, images, strict=True))
-      parts: list[torch.Tensor] = []
-      for channel in channels:
-        is_depth = channel in ("depth", "valid")
-        parts.append(_of_depth(channel, seen["depth"], near, far) if is_depth else seen[channel])
-      return torch.cat(parts, dim=1)
-
-    return TermSource(readings=tuple(needed.values()), compute=compute)
+    readings: list[Reading] = []
+    for kind in self._kinds:
+      read = partial(self._read, kind)
+      if kind == "rgb" or kind == "depth":
+        readings.append(image_of(self._sensor, kind, read))
+      else:
+        readings.append(Reading(name=f"camera/{self._sensor.name}/object_mask", read=read))
+    return TermSource(readings=tuple(readings), compute=self._compose)
 
   def __call__(self) -> torch.Tensor:
-    data, (near, far) = self._sensor.data, self._depth_range
-    images: list[torch.Tensor] = []
+    return self._compose(*(self._read(kind) for kind in self._kinds))
+
+  def _read(self, kind: DataType) -> torch.Tensor:
+    """Return an image of the sensor; of a segmentation the mask of the object to lift."""
+    data = self._sensor.data
+    if kind != "segmentation":
+      return data.rgb_float if kind == "rgb" else data.depth
+    target = self._lift.of_target(self._is_geom_of.expand(self.num_envs, -1, -1))
+    number, geom_or_other = data.segmentation.unbind(1)
+    is_of_target = target.gather(1, number.flatten(1).clamp(0, target.shape[1] - 1).long()).view_as(number)
+    return (is_of_target & (geom_or_other == int(mujoco.mjtObj.mjOBJ_GEOM))).float()[:, None]
+
+  def _compose(self, *images: torch.Tensor) -> torch.Tensor:
+    """Return the channels of images in the order of `_kinds`."""
+    near, far = self._depth_range
+    parts: list[torch.Tensor] = []
     for channel in self._channels:
-      if channel == "rgb":
-        images.append(data.rgb_float)
-      elif channel in ("depth", "valid"):
-        images.append(_of_depth(channel, data.depth, near, far))
-      else:
-        target = self._lift.of_target(self._is_geom_of.expand(self.num_envs, -1, -1))
-        number, kind = data.segmentation.unbind(1)
-        is_of_target = target.gather(1, number.flatten(1).clamp(0, target.shape[1] - 1).long()).view_as(number)
-        images.append((is_of_target & (kind == int(mujoco.mjtObj.mjOBJ_GEOM))).float()[:, None])
-    return images[0] if len(images) == 1 else torch.cat(images, dim=1)
-
-
-def _of_depth(channel: Channel, depth: torch.Tensor, near: float, far: float) -> torch.Tensor:
-  """Return depth between `near` and `far` as a share of `far`, or for "valid" 1 where it is between them."""
-  if channel == "valid":
-    return ((depth >= near) & (depth <= far)).float()
-  return torch.where(depth < 0.0, far, depth).clamp(near, far) / far
+      image = images[self._kinds.index(DATA_OF_CHANNEL[channel])]
+      if channel == "valid":
+        image = ((image >= near) & (image <= far)).float()
+      elif channel == "depth":
+        image = torch.where(image < 0.0, far, image).clamp(near, far) / far
+      parts.append(image)
+    return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)

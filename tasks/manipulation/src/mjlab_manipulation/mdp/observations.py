@@ -23,8 +23,7 @@ def _hand_to_object(env: "ManagerBasedRlEnv", *, command: str, hand: SceneEntity
   return TermSource(readings=(place, _object(env, command)[0]), compute=lambda of_hand, of_object: of_object - of_hand)
 
 
-def _object_to_goal(env: "ManagerBasedRlEnv", *, command: str, robot: str) -> TermSource:
-  del robot
+def _object_to_goal(env: "ManagerBasedRlEnv", *, command: str) -> TermSource:
   return TermSource(
     readings=(_object(env, command)[0], _goal(env, command)), compute=lambda of_object, goal: goal - of_object
   )
@@ -110,10 +109,10 @@ def hand_to_object(env: "ManagerBasedRlEnv", *, command: str, hand: SceneEntityC
 
 
 @sourced(_object_to_goal)
-def object_to_goal(env: "ManagerBasedRlEnv", *, command: str, robot: str = "robot") -> torch.Tensor:
+def object_to_goal(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tensor:
   """Return the vector from the centre of the object to its goal, in the robot's root frame, (num_envs, 3) [m]."""
   term = lift_command(env, command)
-  return quat_apply_inverse(env.scene[robot].data.root_link_quat_w, term.goal_pos_w - term.object_pos_w)
+  return quat_apply_inverse(env.scene["robot"].data.root_link_quat_w, term.goal_pos_w - term.object_pos_w)
 
 
 @sourced(_object_size)
