@@ -340,12 +340,10 @@ class _Search:
   def _information(self, record: Record) -> Information:
     """Return the information of a record about the parameters at their priors."""
     random, cfg = np.random.default_rng(1), self._cfg
-    signals = dict(record.signals)
-    del signals["effort"]
+    signals = {"position_target": record.signals["position_target"]}
     for name, noise in (("position", cfg.noise), ("velocity", _VELOCITY_NOISE * cfg.noise)):
-      signals[name] = signals[name] + random.normal(0.0, noise, signals[name].shape)
-    noisy = Record(source=record.source, joints=record.joints, time=record.time, signals=signals)
-    windows = cut(self._robot, [noisy], cfg.window)
+      signals[name] = record.signals[name] + random.normal(0.0, noise, record.signals[name].shape)
+    windows = cut(self._robot, [replace(record, signals=signals)], cfg.window)
     if self._problem is None:
       settings = IdentifyCfg(window=cfg.window, threads=cfg.threads)
       self._problem = Problem(self._robot, windows, self._fit, self._ranges, settings)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import torch
@@ -16,11 +16,8 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.files import AtomicWrite
 from mjlab_core.lazy import from_extra
 
-from mjlab_sysid.motor_law import MotorLaw, fit_motor_law
+from mjlab_sysid.motor_law import MotorLaw, fit_motor_law, fit_pd_law
 from mjlab_sysid.records import Record, uniform
-
-if TYPE_CHECKING:
-  from matplotlib.figure import Figure
 
 
 @dataclass(kw_only=True)
@@ -32,19 +29,19 @@ class MotorFitCfg:
   hidden: Annotated[tuple[int, ...], Items(), Limits(ge=1)] = (32, 32)
   """Widths of the hidden layers."""
   activation: Activation = "softsign"
-  """Between the layers."""
+  """Activation function between the layers."""
   epochs: PositiveCount = 100
   """Passes over the records."""
   batch_size: PositiveCount = 128
   """Samples of one step of Adam."""
   learning_rate: Positive = 1e-2
-  """At the beginning; it falls to zero along a cosine."""
+  """Initial learning rate; it falls to zero along a cosine."""
   held_out: Annotated[float, Limits(gt=0, lt=1)] = 0.2
   """Share at the end of each segment that is never trained on."""
   joints: str = ".*"
   """Pattern of the joints whose motors the network stands for."""
   seed: int = 0
-  """Of the first weights and of the order of the samples."""
+  """Seed of the initial weights and of the order of samples."""
 
   def __post_init__(self) -> None:
     check_fields(self, "MotorFitCfg")
@@ -63,13 +60,13 @@ class FitProgress(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class MotorFit:
-  """A trained network and how good it is; errors are root mean squares over samples [N or N m]."""
+  """Trained network with its errors: root mean squares over samples [N or N m]."""
 
   cfg: MotorFitCfg
   period: float
   """Period of the samples [s]."""
   network: torch.nn.Sequential
-  """From rows as `LearnedMlpActuatorCfg` describes them, all its scales one, to efforts [N or N m]."""
+  """Network from rows as `LearnedMlpActuatorCfg` describes them, with all scales one, to efforts [N or N m]."""
   curve: tuple[FitProgress, ...]
   """Errors after each epoch."""
   train_error: float
@@ -96,18 +93,6 @@ class MotorFit:
     Raises:
       ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
     """
-    figure = self._figure()
-    with AtomicWrite(path) as temporary:
-      figure.savefig(temporary, format="png", dpi=120)
-
-  def config(self, network_file: str | Path) -> str:
-    """Return the Python of a config that loads this network."""
-    return (
-      f"LearnedMlpActuatorCfg(target_names_expr=(...,), network_file={str(network_file)!r}, "
-      f"history_length={self.cfg.history_length}, sample_period={self.period!r}, activation={self.cfg.activation!r})"
-    )
-
-  def _figure(self) -> "Figure":
     require_matplotlib()
     from matplotlib.figure import Figure
 
@@ -131,7 +116,15 @@ class MotorFit:
     ends = [min(measured.min(), learned.min()), max(measured.max(), learned.max())]
     scatter.plot(ends, ends, color="black", linewidth=0.8)
     scatter.set(title="held-out effort", xlabel="measured", ylabel="learned")
-    return figure
+    with AtomicWrite(path) as temporary:
+      figure.savefig(temporary, format="png", dpi=120)
+
+  def config(self, network_file: str | Path) -> str:
+    """Return the Python of a config that loads this network."""
+    return (
+      f"LearnedMlpActuatorCfg(target_names_expr=(...,), network_file={str(network_file)!r}, "
+      f"history_length={self.cfg.history_length}, sample_period={self.period!r}, activation={self.cfg.activation!r})"
+    )
 
 
 def require_matplotlib() -> None:
@@ -156,8 +149,8 @@ def fit_motor(
 
   Args:
     records: Position target, position, velocity and effort of the joints.
-    cfg: What is learned, and how; None for the defaults.
-    on_epoch: Called after every epoch; what it returns, if true, ends the training there.
+    cfg: Settings; None for the defaults.
+    on_epoch: Function called after every epoch; a true result ends the training.
 
   Raises:
     MjlabError: A setting is impossible, a segment is too short, or the efforts never change.
@@ -170,9 +163,7 @@ def fit_motor(
     raise MjlabError("signal 'effort' never changes, so there is nothing to learn")
   result, curve = _trained((x, y), (x_held, y_held), cfg, on_epoch)
   first = cfg.history_length - 1
-  motor = fit_motor_law(trained, first)
-  away = [(motor.efforts(part) - part[:, 3])[first:] for part in held]
-  pd_gains, pd_error = _best_pd(x, y, x_held, y_held, cfg.history_length)
+  motor, pd = fit_motor_law(trained, first), fit_pd_law(trained, first)
   with torch.no_grad():
     held_out = torch.stack((y_held, result(x_held)[:, 0]), dim=1)
   return MotorFit(
@@ -182,9 +173,9 @@ def fit_motor(
     curve=curve,
     train_error=_error(result, x, y),
     held_out_error=_error(result, x_held, y_held),
-    pd_error=pd_error,
-    pd_gains=pd_gains,
-    motor_error=float(np.sqrt(np.square(np.concatenate(away)).mean())),
+    pd_error=pd.error(held, first),
+    pd_gains=(pd.stiffness, pd.damping),
+    motor_error=motor.error(held, first),
     motor=motor,
     held_out=held_out,
   )
@@ -223,7 +214,7 @@ def _samples(parts: Sequence[np.ndarray], length: int) -> Samples:
 
 
 def _windows(rows: np.ndarray, length: int) -> np.ndarray:
-  """One table (windows, 2 length + 1): errors newest first, velocities newest first, effort."""
+  """Return (windows, 2 length + 1): errors newest first, velocities newest first, effort."""
   errors, velocities = rows[:, 0] - rows[:, 1], rows[:, 2]
   past = [np.lib.stride_tricks.sliding_window_view(series, length)[:, ::-1] for series in (errors, velocities)]
   return np.concatenate((*past, rows[length - 1 :, 3:]), axis=1)
@@ -273,7 +264,7 @@ def _network(cfg: MotorFitCfg, generator: torch.Generator) -> torch.nn.Sequentia
 
 
 class _Standard(NamedTuple):
-  """The linear map to what the network is trained on: samples close in time differ little, but that is what tells."""
+  """Linear map to the inputs and outputs of training: differences of samples close in time, which matter, are small."""
 
   inputs: torch.Tensor
   """From rows to the newest sample and the differences between successive ones, of unit variance each."""
@@ -308,19 +299,9 @@ def _error(network: torch.nn.Module, x: torch.Tensor, y: torch.Tensor) -> float:
     return (network(x)[:, 0] - y).square().mean().sqrt().item()
 
 
-def _best_pd(
-  x: torch.Tensor, y: torch.Tensor, x_held: torch.Tensor, y_held: torch.Tensor, length: int
-) -> tuple[tuple[float, float], float]:
-  """Gains that fit the trained samples best in the least squares, and their held-out error."""
-  newest = [0, length]
-  gains = torch.linalg.lstsq(x[:, newest], y[:, None]).solution[:, 0]
-  error = (x_held[:, newest] @ gains - y_held).square().mean().sqrt().item()
-  return (gains[0].item(), -gains[1].item()), error
-
-
 @contextmanager
 def _one_thread() -> Generator[None, None, None]:
-  """Tiny matrices: a second thread would only wait for the first."""
+  """Use one thread, because for tiny matrices a second one would only wait."""
   before = torch.get_num_threads()
   torch.set_num_threads(1)
   try:

@@ -1,4 +1,4 @@
-"""A robot as its records are explained: a model, held by its base or free, its actuator models, and a pose."""
+"""Robot of records: a model, held by its base or free, its actuator models, and a pose."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -31,9 +31,9 @@ class Robot:
   actuators: tuple[ActuatorCfg, ...]
   """Actuator models, without delay: records are delayed by the parameter `delay`."""
   delays: Mapping[str, float]
-  """Mean delay of the set-points by driven joint, as configured [s]."""
+  """Mean delay of the targets by driven joint, as configured [s]; 0 for the others."""
   pose: np.ndarray
-  """Positions of what no record moves, (nq,) [rad or m]."""
+  """Positions of joints that no record moves, (nq,) [rad or m]."""
   base: str | None = None
   """Name of the free joint of a base that moves; None if it is held."""
   has_imu: bool = False
@@ -60,11 +60,10 @@ class Robot:
     ids = [self.model.joint(name).id for name in joints]
     return self.model.jnt_qposadr[ids].copy(), self.model.jnt_dofadr[ids].copy()
 
-  def actuation(self, num_worlds: int, ctrl: torch.Tensor | None) -> ActuatorSet:
-    """Return the actuator models of so many worlds, which write into `ctrl`, (num_worlds, nu)."""
-    like = torch.empty(0, dtype=torch.float64) if ctrl is None else ctrl
+  def actuation(self, ctrl: torch.Tensor) -> ActuatorSet:
+    """Return the actuator models of many worlds, which write into `ctrl`, (num_worlds, nu)."""
     return ActuatorSet(self.actuators).build(
-      self.model, num_envs=num_worlds, device=like.device, dtype=like.dtype, ctrl=ctrl
+      self.model, num_envs=len(ctrl), device=ctrl.device, dtype=ctrl.dtype, ctrl=ctrl
     )
 
 
@@ -152,7 +151,7 @@ def _robot(
   for sensor in list(spec.sensors):
     spec.delete(sensor)
   model = _compiled(spec)
-  # A body that is fixed to the world has nothing to tell.
+  # An IMU on a body that is fixed to the world measures no motion.
   has_imu = bool(site) and model.body_weldid[model.site_bodyid[model.site(site).id]] != 0
   if has_imu:
     for name, kind in IMU.items():
@@ -163,17 +162,14 @@ def _robot(
     for cfg in actuators
   )
   robot = Robot(model=model, spec=spec, actuators=cfgs, delays={}, pose=model.qpos0.copy(), has_imu=has_imu)
-  names = robot.actuation(1, None).driven("joint")
+  addresses, _ = robot.addresses(robot.joints)
+  robot.pose[addresses] = match_values_full(dict(pose or {}), robot.joints, what="joint", owner="pose", default=0.0)
   delays: dict[str, float] = {}
   for cfg in actuators:
     mean = 0.5 * (cfg.delay_min_lag + cfg.delay_max_lag) * model.opt.timestep
     matched: Any = cfg.match(robot.joints) if cfg.transmission_type == "joint" else ()
     delays |= dict.fromkeys(matched, mean)
-  found = match_values_full(dict(pose or {}), robot.joints, what="joint", owner="pose", default=0.0)
-  addresses, _ = robot.addresses(robot.joints)
-  values = model.qpos0.copy()
-  values[addresses] = found
-  return dataclasses.replace(robot, delays={name: delays.get(name, 0.0) for name in names}, pose=values)
+  return dataclasses.replace(robot, delays=delays)
 
 
 def _site_of_imu(spec: mujoco.MjSpec, name: str | None) -> str:

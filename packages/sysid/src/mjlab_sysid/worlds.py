@@ -51,7 +51,7 @@ class Worlds:
   ) -> None:
     self.robot, self.num_envs = robot, num_worlds
     self.sim = sim = make_engine(robot, num_worlds, engine, device, threads)
-    self.actuators = robot.actuation(num_worlds, sim.data.ctrl)
+    self.actuators = robot.actuation(sim.data.ctrl)
     self._everyone = torch.ones(num_worlds, dtype=torch.bool, device=sim.device)
     self._terms: list[_Term] = []
     # Field of the first term that writes a number, by its key; later terms start from its result.
