@@ -35,7 +35,7 @@ def make_engine(robot: Robot, num_worlds: int, engine: EngineName, device: str, 
 class NativeWorlds:
   """Worlds of MuJoCo's batch, with the part of the interface of `mjlab_sim.Simulation` that a fit needs.
 
-  A world that MuJoCo gives up has NaN positions from then on.
+  A world that MuJoCo stops has NaN positions from then on.
   """
 
   engine = "native"
@@ -61,7 +61,7 @@ class NativeWorlds:
         setattr(self.model, name, torch.from_numpy(self._batch.expand(name)))
 
   def recompute_constants(self, mask: torch.Tensor | None = None, /) -> None:
-    """Recompute what `mj_setConst` derives, for all worlds."""
+    """Run `mj_setConst` in all worlds."""
     del mask
     self._batch.set_const()
 
@@ -79,7 +79,7 @@ class NativeWorlds:
       self.data.qpos[torch.from_numpy(~self._ok)] = torch.nan
 
   def capture(self, function: Callable[[], object]) -> Callable[[], object]:
-    """Return the function, which a GPU would record."""
+    """Return the function, which an engine on a GPU records."""
     return function
 
 

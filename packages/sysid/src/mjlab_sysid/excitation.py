@@ -194,8 +194,10 @@ class _Search:
     self._room = np.minimum(np.abs(self._range - self._middle[:, None]).min(1), np.pi)
     if (full := np.flatnonzero(self._room < 1e-3)).size:
       raise MjlabError(f"joint '{self.names[full[0]]}' stands at the end of its range; choose another pose")
-    self._velocity = np.array([_limit(robot, "velocity_limit", name, cfg.velocity) for name in self.names])
-    self._effort = np.array([_limit(robot, "effort_limit", name, np.inf) for name in self.names])
+    self._limits = {
+      signal: np.array([_limit(robot, f"{signal}_limit", name, otherwise) for name in self.names])
+      for signal, otherwise in (("velocity", cfg.velocity), ("effort", np.inf))
+    }
     self._random = np.random.default_rng(cfg.seed)
     self._time = cfg.period * np.arange(round(cfg.seconds / cfg.period))
     self._problem: Problem | None = None
@@ -207,26 +209,30 @@ class _Search:
     touches = "the robot touches something as soon as it moves; choose another pose or fewer joints"
     plain = require(self._safe([slow] * cfg.candidates)[0], Record, touches)
     before = self._information(plain)
-    best, waves, known, stopped, tried = plain, slow, before, False, 0
+    best, waves, known, tried = plain, slow, before, 0
+
+    def result(stopped: bool) -> Excitation:
+      assert self._problem is not None
+      return Excitation(
+        record=best,
+        parameters=tuple(self._problem.parameters),
+        before=before,
+        after=known,
+        peaks=self._peaks(best),
+        stopped=stopped,
+      )
+
     for round_ in range(cfg.rounds):
       drawn = [self._draw() if round_ == 0 else self._vary(waves) for _ in range(cfg.candidates)]
       for candidate, record in zip(drawn, self._safe(drawn), strict=True):
-        if stopped or record is None:
+        if record is None:
           continue
         found, tried = self._information(record), tried + 1
         if found.singular_values[-1] > known.singular_values[-1]:
           best, waves, known = record, candidate, found
         if on_iteration is not None and on_iteration(Progress("design", tried, float(known.singular_values[-1]))):
-          stopped = True
-    assert self._problem is not None
-    return Excitation(
-      record=best,
-      parameters=tuple(self._problem.parameters),
-      before=before,
-      after=known,
-      peaks=self._peaks(best),
-      stopped=stopped,
-    )
+          return result(stopped=True)
+    return result(stopped=False)
 
   def _draw(self) -> _Waves:
     shape, random = (self._cfg.sines, len(self.names)), self._random
@@ -247,7 +253,7 @@ class _Search:
     return _Waves(*(np.where(is_fresh, new, old) for new, old in zip(fresh, varied, strict=True)))
 
   def _safe(self, drawn: Sequence[_Waves]) -> list[Record | None]:
-    """Return a record of each candidate, as large as the limits let it be; None where it touches something."""
+    """Return a record of each candidate, as large as the limits allow; None for one that touches something."""
     share = self._cfg.share
     shapes = np.stack([waves.shape(self._time) for waves in drawn])
     size = np.tile(share * self._room, (len(drawn), 1))
@@ -275,7 +281,7 @@ class _Search:
     targets = np.tile(self._pose, (count, rows, 1))
     targets[:, :, self._columns] = commands
     substeps = max(1, round(self._cfg.period / float(robot.model.opt.timestep)))
-    worlds.begin(np.tile(self._pose, (count, 1)), np.zeros((count, len(robot.joints))))
+    worlds.begin(np.tile((self._pose, np.zeros_like(self._pose)), (count, 1, 1)))
     still = torch.zeros(count, len(robot.joints), dtype=torch.float64)
     seen = {name: np.empty((count, rows, len(robot.joints))) for name in ("position", "velocity", "effort")}
     for row in range(rows):
@@ -302,10 +308,8 @@ class _Search:
   def _load(self, record: Record) -> np.ndarray:
     """Return the share of the limits that each joint uses, (moved joints,)."""
     away = np.abs(np.concatenate([record.signals[name] for name in ("position", "position_target")]) - self._middle)
-    parts = [away.max(0) / self._room]
-    parts += [np.abs(record.signals["velocity"]).max(0) / self._velocity]
-    parts += [np.abs(record.signals["effort"]).max(0) / self._effort]
-    return np.max(parts, 0)
+    others = [np.abs(record.signals[signal]).max(0) / limit for signal, limit in self._limits.items()]
+    return np.max((away.max(0) / self._room, *others), 0)
 
   def _free(self, record: Record) -> float:
     """Return a factor of the motion about the pose that touches nothing more than the pose does."""
@@ -325,11 +329,8 @@ class _Search:
     return factor
 
   def _peaks(self, record: Record) -> tuple[Peak, ...]:
-    limits = {
-      "position": self._range,
-      "velocity": np.stack((-self._velocity, self._velocity), 1),
-      "effort": np.stack((-self._effort, self._effort), 1),
-    }
+    limits = {"position": self._range}
+    limits |= {signal: np.stack((-limit, limit), 1) for signal, limit in self._limits.items()}
     return tuple(
       Peak(name, signal, values.min().item(), values.max().item(), tuple(of_signal[column].tolist()))
       for column, name in enumerate(self.names)

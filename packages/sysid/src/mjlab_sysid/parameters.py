@@ -10,13 +10,13 @@ from mjlab_core.names import check_name
 from mjlab_dr import FIELDS, Operation
 
 ALIASES = {"armature": "dof_armature", "frictionloss": "dof_frictionloss", "viscous_damping": "dof_damping"}
-"""Rows of the catalogue by the names that actuator configs have for them."""
+"""Rows of the catalogue by their names in actuator configs."""
 
 Range = tuple[Operation, float, float]
 """Operation on the compiled value, and bounds of its operand."""
 
 FACTOR: Range = ("scale", 0.25, 4.0)
-"""Bounds of a factor where nothing else is known."""
+"""Default bounds of a factor."""
 
 _OFFSETS: dict[str, Range] = {
   "delay": ("absolute", 0.0, 0.04),
@@ -70,7 +70,7 @@ class FitTerm:
 def parse_term(text: str) -> FitTerm:
   """Return the term that a text describes: `FIELD[.AXIS]:PATTERN[=LO..HI][,shared]`.
 
-  Bounds in the text are of the value itself; of fields that are shifted, such as positions, they are of the shift.
+  Bounds in the text are of the value itself, or of the shift for fields that are shifted, such as positions.
 
   Raises:
     MjlabError: The text has another form, or the bounds are inverted.

@@ -16,7 +16,7 @@ from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
 
 from mjlab_sysid.engines import EngineName
 from mjlab_sysid.identified import Information, Trace
-from mjlab_sysid.parameters import FitTerm, Parameter, Range
+from mjlab_sysid.parameters import FitTerm, Range
 from mjlab_sysid.progress import fingerprint
 from mjlab_sysid.records import BODY_SIGNALS, UNITS, elements
 from mjlab_sysid.robot import Robot
@@ -54,7 +54,7 @@ class IdentifyCfg:
   """Settings of a fit."""
 
   window: Positive = 0.3
-  """Length of a window [s]: long enough for a parameter to act, short enough for contacts and drift not to."""
+  """Length of a window [s]: long enough for parameters to act, short enough to limit contacts and drift."""
   solver: Literal["gauss-newton", "cma"] = "gauss-newton"
   """Solver; CMA-ES, from the extra `cma`, needs no gradient, for records full of contacts."""
   iterations: PositiveCount = 40
@@ -82,23 +82,23 @@ class Problem:
   ) -> None:
     self.robot, self.windows, self._fit, self._ranges, self._cfg = robot, windows, fit, ranges, cfg
     self._made: dict[int, Worlds] = {}
-    worlds, self.parameters = self._worlds(1)
-    self.steps = _STEPS[worlds.sim.dtype]
+    worlds = self._worlds(1)
+    self.parameters, self.steps = worlds.parameters, _STEPS[worlds.sim.dtype]
     self.count = len(self.parameters)
-    self._start = np.array([parameter.start for parameter in self.parameters])
-    self._half = np.array([parameter.half for parameter in self.parameters])
-    self.lower = (np.array([parameter.lo for parameter in self.parameters]) - self._start) / self._half
-    self.upper = (np.array([parameter.hi for parameter in self.parameters]) - self._start) / self._half
+    self._start, lo, hi = np.array([(parameter.start, parameter.lo, parameter.hi) for parameter in self.parameters]).T
+    self._half = 0.5 * (hi - lo)
+    self.lower, self.upper = (lo - self._start) / self._half, (hi - self._start) / self._half
     self._basis: np.ndarray | None = None
     self._shrink: np.ndarray | None = None
 
-  def _worlds(self, columns: int) -> tuple[Worlds, list[Parameter]]:
-    cfg = self._cfg
-    count = columns * self.windows.count
-    worlds = Worlds(self.robot, count, engine=cfg.engine, device=cfg.device, threads=cfg.threads)
-    parameters = worlds.bind(self._fit, self._ranges)
-    self._made[columns] = worlds
-    return worlds, parameters
+  def _worlds(self, columns: int) -> Worlds:
+    """Return the worlds of `columns` candidates."""
+    if columns not in self._made:
+      cfg, count = self._cfg, columns * self.windows.count
+      worlds = Worlds(self.robot, count, engine=cfg.engine, device=cfg.device, threads=cfg.threads)
+      worlds.bind(self._fit, self._ranges)
+      self._made[columns] = worlds
+    return self._made[columns]
 
   @property
   def key(self) -> str:
@@ -118,16 +118,18 @@ class Problem:
     numbers = self.numbers(np.where(identifiable, x, 0.0)[:, None])[0]
     return {"timestep": self.windows.timestep, **worlds.overlay(numbers, identifiable)}
 
-  def predict(
-    self, x: np.ndarray, position: np.ndarray | None = None, velocity: np.ndarray | None = None
-  ) -> dict[str, np.ndarray]:
-    """Return signals of candidates, (parameters, columns), as (columns, windows, rows, joints)."""
+  def predict(self, x: np.ndarray, states: np.ndarray | None = None) -> dict[str, np.ndarray]:
+    """Return signals of candidates as (columns, windows, rows, joints).
+
+    Args:
+      x: The candidates, (parameters, columns).
+      states: First states, (columns, windows, 2, joints); None for those of the windows.
+    """
     columns, windows = x.shape[1], self.windows
-    worlds = self._made[columns] if columns in self._made else self._worlds(columns)[0]
+    worlds = self._worlds(columns)
     worlds.write(np.repeat(self.numbers(x), windows.count, 0))
-    position = np.tile(windows.position, (columns, 1)) if position is None else position
-    velocity = np.tile(windows.velocity, (columns, 1)) if velocity is None else velocity
-    signals = windows.roll(worlds, position, velocity)
+    states = np.stack([windows.state] * columns) if states is None else states
+    signals = windows.roll(worlds, np.concatenate(states))
     return {name: values.reshape(columns, windows.count, *values.shape[1:]) for name, values in signals.items()}
 
   def residuals(self, signals: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -135,7 +137,7 @@ class Problem:
     parts = []
     for name, measured in self.windows.measured.items():
       away = difference(name, signals[name], measured)
-      seen = np.array([not np.isnan(measured[..., column]).any() for column in range(away.shape[-1])])
+      seen = ~np.isnan(measured[..., : away.shape[-1]]).any((0, 1))
       part = (away / self.windows.sigma[name])[..., seen]
       parts.append(part.reshape(*part.shape[:2], -1))
     return np.clip(np.nan_to_num(np.concatenate(parts, -1), nan=_DIVERGED), -_DIVERGED, _DIVERGED)
@@ -144,16 +146,10 @@ class Problem:
     """Take the uncertainty of the windows' first states into account, linearised at a candidate, (parameters,)."""
     windows = self.windows
     moved = np.flatnonzero(windows.uncertain[0, 0] > 0.0)
-    columns = 1 + 2 * len(moved)
-    position, velocity = (np.tile(part, (columns, 1, 1)) for part in (windows.position, windows.velocity))
-    for place, joint in enumerate(moved):
-      position[1 + place, :, joint] += self.steps.position
-      velocity[1 + len(moved) + place, :, joint] += self.steps.velocity
-    flat = (-1, position.shape[2])
-    found = self.residuals(
-      self.predict(np.tile(x[:, None], (1, columns)), position.reshape(flat), velocity.reshape(flat))
-    )
-    steps = np.repeat(self.steps[1:], len(moved))
+    kind, column, steps = np.repeat([0, 1], len(moved)), np.tile(moved, 2), np.repeat(self.steps[1:], len(moved))
+    states = np.stack([windows.state] * (1 + len(steps)))
+    states[1 + np.arange(len(steps)), :, kind, column] += steps[:, None]
+    found = self.residuals(self.predict(np.stack([x] * len(states), 1), states))
     slopes = (found[1:] - found[:1]) / steps[:, None, None]
     noise = windows.uncertain[:, :, moved].reshape(windows.count, -1)
     basis, singular, _ = np.linalg.svd(slopes.transpose(1, 2, 0) * noise[:, None], full_matrices=False)

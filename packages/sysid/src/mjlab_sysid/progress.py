@@ -1,4 +1,4 @@
-"""File of a fit that is under way, from which another process resumes it."""
+"""File of an unfinished fit, from which another process resumes it."""
 
 import hashlib
 import json

@@ -91,7 +91,7 @@ class Record:
       raise FileError(f"{self.source}{problem}")
 
   def _problems(self) -> Iterator[str]:
-    """Yield what is wrong, to follow the source."""
+    """Yield descriptions of mistakes, to follow the source."""
     for name, values in self.signals.items():
       if name not in SIGNALS:
         yield f": {unknown('signal', printable(name, 80), SIGNALS)}"
@@ -109,7 +109,7 @@ class Record:
         yield f": {name} is not finite, or lacks one of {', '.join(elements(name, ()))}"
       if name == "base_orientation" and not np.allclose(np.linalg.norm(values, axis=1), 1.0, atol=0.01):
         yield ": base_orientation is not a unit quaternion (w, x, y, z)"
-      # A joint may lack a signal altogether, but not now and then.
+      # A joint may lack a whole signal, but not single rows of it.
       for row, column in np.argwhere(~np.isfinite(values) & ~np.isnan(values).all(0)):
         yield f", row {row + 1}: {name} of '{elements(name, self.joints)[column]}' is not a finite number"
 
@@ -121,7 +121,7 @@ class Record:
   @property
   def period(self) -> float:
     """Time between two rows, the median [s]."""
-    # Written times are rounded; over many rows that averages out.
+    # Written times are rounded, which averages out over many rows.
     steps = np.diff(self.time)
     middle = float(np.median(steps))
     return float(f"{steps[np.abs(steps - middle) <= _JITTER * middle].mean():.6g}")
@@ -178,7 +178,7 @@ def write_record(record: Record, path: str | Path) -> None:
 def uniform(record: Record, period: float | None = None) -> list[Record]:
   """Return the uninterrupted stretches of a record, resampled to one period with a warning where it is uneven.
 
-  Measurements are interpolated, targets are held. A gap of several periods begins a new stretch; stretches of fewer
+  Measurements are interpolated, targets are held. A gap of several periods begins a new stretch. Stretches of fewer
   than two rows are dropped.
 
   Args:
@@ -223,7 +223,7 @@ def _resampled(record: Record, period: float) -> Record | None:
 def interpolated(name: str, time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
   """Return a signal, (rows, columns) at times `at`, at other times."""
   if name == "base_orientation":
-    # q and -q are one orientation, but not in between.
+    # q and -q are one orientation, but interpolation between them is not.
     signs = np.cumprod(np.where((values[1:] * values[:-1]).sum(1) < 0.0, -1.0, 1.0))
     values = np.concatenate((values[:1], values[1:] * signs[:, None]))
   out = np.stack([np.interp(time, at, column) for column in values.T], 1)

@@ -77,7 +77,7 @@ def robot_on_stand(
   floor: float | None = None,
   imu: str | None = None,
 ) -> Robot:
-  """Return a robot whose base is held where it is.
+  """Return a robot with a held base.
 
   Args:
     spec: Model of the robot, to which `ActuatorSet(actuators).edit_spec` has added the actuators; it is copied.
@@ -97,7 +97,7 @@ def robot_on_stand(
     if joint.type == mujoco.mjtJoint.mjJNT_FREE:
       base = joint.parent
       spec.delete(joint)
-      # MuJoCo lets a body collide with its parent once that does not move.
+      # MuJoCo lets a body collide with a parent that does not move.
       for child in base.bodies:
         spec.add_exclude(bodyname1=base.name, bodyname2=child.name)
   if height is not None:
@@ -114,7 +114,7 @@ def robot_on_ground(
   floor: float | None = 0.0,
   imu: str | None = None,
 ) -> Robot:
-  """Return a robot whose base moves freely; its records need `base_position` and `base_orientation`.
+  """Return a robot with a free base; its records need `base_position` and `base_orientation`.
 
   Args and errors are those of `robot_on_stand`.
 

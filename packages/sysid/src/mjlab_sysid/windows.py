@@ -1,4 +1,4 @@
-"""Records cut into windows: each is a rollout of its own from a measured state, so that errors do not pile up."""
+"""Records cut into windows: each is a separate rollout from a measured state, so that errors do not grow."""
 
 import warnings
 from collections.abc import Sequence
@@ -32,14 +32,12 @@ class Windows:
   """Timestep of the simulation [s]."""
   substeps: int
   """Timesteps from a row to the next."""
-  position: np.ndarray
-  """Readings at the beginning, (windows, joints, or 6 more for a base that moves), as in `Worlds.begin`."""
-  velocity: np.ndarray
-  """Velocities at the beginning, likewise."""
+  state: np.ndarray
+  """Readings of positions and velocities at the beginning, (windows, 2, columns), as in `Worlds.begin`."""
   orientation: np.ndarray | None
   """Orientations at the beginning of a base that moves, (windows, 4)."""
   uncertain: np.ndarray
-  """Standard deviations of positions and velocities, (windows, 2, columns); 0 for joints that no record moves."""
+  """Standard deviations of `state`, (windows, 2, columns); 0 for joints that no record moves."""
   measured: dict[str, np.ndarray]
   """Signals after the beginning, (windows, rows, joints, 3 or 4); NaN where there is none."""
   sigma: dict[str, np.ndarray]
@@ -59,13 +57,12 @@ class Windows:
     """Rows of a window after its beginning."""
     return next(iter(self.measured.values())).shape[1]
 
-  def roll(self, worlds: Worlds, position: np.ndarray, velocity: np.ndarray) -> dict[str, np.ndarray]:
+  def roll(self, worlds: Worlds, state: np.ndarray) -> dict[str, np.ndarray]:
     """Return the signals in worlds that begin in these states, (num_worlds, rows, ...); NaN where one diverged.
 
     Args:
-      worlds: As many as windows, or a multiple: window by window, again and again.
-      position: Readings at the beginning, (num_worlds, columns).
-      velocity: Velocities at the beginning, (num_worlds, columns).
+      worlds: One world for each window, or several such sets one after the other.
+      state: Readings of positions and velocities at the beginning, (num_worlds, 2, columns).
     """
     copies, device = worlds.num_envs // self.count, worlds.sim.device
     if worlds.commands is None or worlds.commands.source is not self:
@@ -75,7 +72,7 @@ class Windows:
       name: torch.empty(worlds.num_envs, self.rows, values.shape[2], dtype=torch.float64, device=device)
       for name, values in self.measured.items()
     }
-    worlds.begin(position, velocity, None if self.orientation is None else np.tile(self.orientation, (copies, 1)))
+    worlds.begin(state, None if self.orientation is None else np.tile(self.orientation, (copies, 1)))
     last = self.rows * self.substeps + 1
     for step in range(last + 1):
       for name, values in out.items():
@@ -96,7 +93,7 @@ def difference(name: str, predicted: np.ndarray, measured: np.ndarray) -> np.nda
 
 
 def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
-  """Return the windows of some records.
+  """Return the windows of records.
 
   Args:
     robot: The robot that was recorded.
@@ -104,7 +101,7 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     window: Length of a window [s].
 
   Raises:
-    FileError: A joint lacks a signal, or its unit must be wrong.
+    FileError: A joint lacks a signal, or has a wrong unit.
     UnknownNameError: A joint does not exist.
     MjlabError: Records are shorter than a window.
   """
@@ -120,17 +117,21 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
   seen = {name: whole[name] for name in (*JOINTS, *body) if not np.isnan(whole[name]).all()}
   series = seen | ({"base_orientation": _turns(seen["base_orientation"])} if robot.base else {})
   sigma = {name: _noise(values) for name, values in series.items()}
-  position, velocity, uncertain = _beginnings(series, sigma, "position", starts, period, timestep)
-  position = np.where(np.isnan(position), _pose(robot), position)
+
+  def beginnings(name: str) -> np.ndarray:
+    return _beginnings(series, sigma, name, starts, period, timestep)
+
+  state, uncertain = beginnings("position")
+  state[:, 0] = np.where(np.isnan(state[:, 0]), _pose(robot), state[:, 0])
   orientation = None
   if robot.base:
     orientation = seen["base_orientation"][starts]
-    place, speed, place_noise = _beginnings(series, sigma, "base_position", starts, period, timestep)
-    _, turning, turn_noise = _beginnings(series, sigma, "base_orientation", starts, period, timestep)
+    turn, turn_noise = beginnings("base_orientation")
+    turn[:, 0] = 0.0
     # MuJoCo has the angular velocity of a free joint in the frame of its body.
-    turning = quat_apply_inverse(torch.from_numpy(orientation), torch.from_numpy(turning)).numpy()
-    position = np.concatenate((position, place, np.zeros_like(place)), 1)
-    velocity = np.concatenate((velocity, speed, turning), 1)
+    turn[:, 1] = quat_apply_inverse(torch.from_numpy(orientation), torch.from_numpy(turn[:, 1])).numpy()
+    place, place_noise = beginnings("base_position")
+    state = np.concatenate((state, place, turn), 2)
     uncertain = np.concatenate((uncertain, place_noise, turn_noise), 2)
   after = starts[:, None] + np.arange(1, rows + 1)
   return Windows(
@@ -138,8 +139,7 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
     records=names,
     timestep=timestep,
     substeps=substeps,
-    position=position,
-    velocity=velocity,
+    state=state,
     orientation=orientation,
     uncertain=uncertain,
     measured={name: values[after] for name, values in seen.items()},
@@ -152,7 +152,7 @@ def cut(robot: Robot, records: Sequence[Record], window: float) -> Windows:
 def _joined(
   robot: Robot, records: Sequence[Record], body: Sequence[str], period: float, rows: int
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...], np.ndarray]:
-  """Return the signals of all records, one after the other, and record and first row of each window."""
+  """Return the signals of all records, one after the other, and the record and first row of each window."""
   tables: dict[str, list[np.ndarray]] = {name: [] for name in (*TARGETS, *JOINTS, *body)}
   pad, offset = round(_LONGEST_DELAY / period), 0
   names: list[str] = []
@@ -200,7 +200,7 @@ def _has(robot: Robot, name: str) -> bool:
 
 
 def _turns(orientation: np.ndarray) -> np.ndarray:
-  """Return small rotations from row to row, summed up, (rows, 3): their slopes are angular velocities in the world."""
+  """Return sums of the small rotations from row to row, (rows, 3); their slopes are angular velocities in the world."""
   steps = difference("base_orientation", orientation[1:], orientation[:-1])
   return np.concatenate((np.zeros((1, 3)), np.cumsum(steps, 0)))
 
@@ -221,7 +221,7 @@ def _check_signals(record: Record) -> None:
 
 
 def _noise(values: np.ndarray) -> np.ndarray:
-  """Return the noise of signals by joint, (joints,): of their third differences, and of their quantisation."""
+  """Return the noise of signals by joint, (joints,), from their third differences and their quantisation."""
   out = np.ones(values.shape[1])
   for column, series in enumerate(values.T):
     series = series[~np.isnan(series)]
@@ -242,8 +242,11 @@ def _beginnings(
   starts: np.ndarray,
   period: float,
   timestep: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-  """Return readings of a signal and velocities at the beginnings of windows, and how uncertain they are."""
+) -> np.ndarray:
+  """Return readings of a signal and velocities at the beginnings of windows, and their standard deviations.
+
+  The result is (2, windows, 2, columns).
+  """
   position = seen[name]
   noise = np.broadcast_to(sigma[name], position[starts].shape)
   rough = np.gradient(position, period, axis=0)
@@ -260,5 +263,5 @@ def _beginnings(
     velocity = np.where(np.isnan(measured), slope, measured)
     std = np.where(np.isnan(measured), std, sigma["velocity"])
   absent = np.isnan(position[starts])
-  uncertain = np.where(absent[:, None], 0.0, np.stack((noise, std), 1))
-  return position[starts], np.where(absent, 0.0, velocity), uncertain
+  state = np.stack((position[starts], np.where(absent, 0.0, velocity)), 1)
+  return np.stack((state, np.where(absent[:, None], 0.0, np.stack((noise, std), 1))))

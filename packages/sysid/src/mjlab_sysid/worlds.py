@@ -80,7 +80,7 @@ class Worlds:
     for term in terms:
       bind = self._bind_own if term.field in _OWN else self._bind_field
       self._terms.append(bind(term, term.bounds(ranges)))
-    parameters = self._parameters
+    parameters = self.parameters
     named = Counter((p.field, p.axis and f".{p.axis}", element) for p in parameters for element in p.elements)
     (field, axis, element), times = named.most_common(1)[0]
     if times > 1:
@@ -88,7 +88,8 @@ class Worlds:
     return parameters
 
   @property
-  def _parameters(self) -> list[Parameter]:
+  def parameters(self) -> list[Parameter]:
+    """Parameters in the order of the columns of `write`."""
     return [parameter for parameters, _ in self._terms for parameter in parameters]
 
   def write(self, numbers: np.ndarray) -> None:
@@ -98,7 +99,7 @@ class Worlds:
       end = begin + len(parameters)
       write(torch.from_numpy(numbers[:, begin:end].copy()))
       begin = end
-    if any(needs_constants(parameter.field) for parameter in self._parameters):
+    if any(needs_constants(parameter.field) for parameter in self.parameters):
       self.sim.recompute_constants()
 
   def overlay(self, numbers: np.ndarray, identifiable: np.ndarray) -> dict[str, Any]:
@@ -110,7 +111,7 @@ class Worlds:
     """
     self.write(numbers[None].repeat(self.num_envs, 0))
     out: dict[str, Any] = {"model": {}, "actuators": {}, "delay": {}, "encoder_bias": {}}
-    for parameter, number, is_kept in zip(self._parameters, numbers.tolist(), identifiable, strict=True):
+    for parameter, number, is_kept in zip(self.parameters, numbers.tolist(), identifiable, strict=True):
       field = parameter.field
       for place, element in enumerate(parameter.elements) if is_kept else ():
         if FIELDS[field].in_model:
@@ -178,16 +179,16 @@ class Worlds:
 
     return parameters, write
 
-  def begin(self, position: np.ndarray, velocity: np.ndarray, orientation: np.ndarray | None = None) -> None:
-    """Put the driven joints where encoders read `position`, moving at `velocity`.
+  def begin(self, state: np.ndarray, orientation: np.ndarray | None = None) -> None:
+    """Set the state of the driven joints, and of a base that moves.
 
     Args:
-      position: Readings, (num_worlds, targets). Of a base that moves, six columns more: its position, and a rotation
-        vector by which it is turned away from `orientation`, in the world frame.
-      velocity: Velocities, (num_worlds, targets). Of a base that moves, six columns more: linear in the world frame,
-        and angular in its own.
+      state: Positions as encoders read them, and velocities, (num_worlds, 2, targets). A base that moves has six more
+        columns: its position, and a rotation vector from `orientation`, in the world frame; its linear velocity in the
+        world frame, and its angular velocity in the frame of the base.
       orientation: Quaternions of a base that moves, (num_worlds, 4).
     """
+    position, velocity = state[:, 0], state[:, 1]
     count = len(self.actuators.target_names)
     addresses, dofs = self._position.cpu().numpy(), self._velocity.cpu().numpy()
     qpos = np.tile(self.robot.pose, (self.num_envs, 1))
@@ -208,7 +209,7 @@ class Worlds:
       self.commands.clock.zero_()
 
   def _follow_equalities(self, qpos: np.ndarray, qvel: np.ndarray) -> None:
-    """Put joints that follow another one by an equality where it wants them."""
+    """Set the joints that follow another one by an equality."""
     model = self.robot.model
     for index in np.flatnonzero(model.eq_type == mujoco.mjtEq.mjEQ_JOINT):
       one, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
@@ -231,9 +232,9 @@ class Worlds:
     self.sim.step()
 
   def obey(self, commands: "Commands") -> None:
-    """Follow other commands from the next `begin` on."""
+    """Follow these commands from the next `begin` on."""
     self.commands = commands
-    # A recorded step reads the memory of the commands before.
+    # A recorded step reads the memory of the previous commands.
     self._tick = self.sim.capture(self._follow)
 
   def follow(self) -> None:
