@@ -78,7 +78,7 @@ WRONG = [
   (f"train {TASK} --device cuda:77", "device 'cuda:77' does not exist"),
   (f"train {TASK} --device gpu", "device 'gpu' does not exist"),
   (f"{TRAIN} --env.actions.torque.actuators hings", "Nearest: hinge"),
-  (f"{TRAIN} --env.decimation 0", "env.decimation: must be at least 1, got 0"),
+  (f"{TRAIN} --env.decimation 0", "env.decimation must be at least 1, got 0"),
   (PLAY, "no run of Test-Pendulum with a checkpoint in"),
   *((f"{PLAY} --checkpoint missing.{kind}", "is neither a checkpoint nor a run") for kind in ("pt", "onnx")),
   (f"{PLAY} --agent chance", "--agent: expected"),
@@ -172,7 +172,7 @@ FAILED = [
   ("convert-motion there.pkl", "there.pkl: expected .csv or .npz"),
   ("convert-motion march.csv --rate 1e-320", "rate must be in [1, 10000]"),
   ("convert-motion march.csv", "state it with --rate"),
-  (f"{TRAIN} --seed {2**64}", "env.seed: must be in"),
+  (f"{TRAIN} --seed {2**64}", "env.seed must be in"),
   # More than any machine has addresses for: it must not be tried.
   (f"{TRAIN} --env.scene.num-envs {10**15}", "not enough memory"),
   (f"{TRAIN} --agent.num-steps-per-env {10**15}", "not enough memory"),
