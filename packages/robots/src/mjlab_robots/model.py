@@ -53,10 +53,10 @@ class Robot:
   """Contact presets by name: differences from the contact parameters in the MJCF."""
 
   def spec(self, meshes: MeshMode = "auto") -> mujoco.MjSpec:
-    """Return a new spec without actuators. Physics does not depend on `meshes`, which `find_meshes` explains.
+    """Return a new spec without actuators. Physics does not depend on `meshes`, see `find_meshes`.
 
     Raises:
-      FileError: Meshes are required or to be downloaded, and cannot be found.
+      FileError: Meshes are required, or must be downloaded, and cannot be found.
     """
     folder = find_meshes(self.menagerie, sorted({geom.file for geom in self.meshes}), meshes)
     mjcf = resources.files("mjlab_robots").joinpath(self.mjcf)

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
   from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
   from mjlab_viewer.pictures.training_video import TrainingVideo
   from mjlab_viewer.pictures.video import BackgroundVideo, VideoFile
-  from mjlab_viewer.playback import SPEEDS, Playback
-  from mjlab_viewer.policies import CheckpointList, Policy, RandomPolicy, ZeroPolicy
+  from mjlab_viewer.playback import SPEEDS, CheckpointList, Playback, Policy, RandomPolicy, ZeroPolicy
   from mjlab_viewer.replay import Replay
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 
@@ -61,8 +60,7 @@ __getattr__, __dir__ = lazy_exports(
     ".pictures.offscreen": "OffscreenRenderer PictureCfg",
     ".pictures.training_video": "TrainingVideo",
     ".pictures.video": "BackgroundVideo VideoFile",
-    ".playback": "SPEEDS Playback",
-    ".policies": "CheckpointList Policy RandomPolicy ZeroPolicy",
+    ".playback": "SPEEDS CheckpointList Playback Policy RandomPolicy ZeroPolicy",
     ".replay": "Replay",
     ".snapshot": "Snapshot SnapshotTaker",
   },

@@ -1,4 +1,4 @@
-"""Stepping of an environment in real time."""
+"""Stepping of an environment under a policy, in real time."""
 
 from __future__ import annotations
 
@@ -7,14 +7,18 @@ import queue
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import torch
 
 from mjlab_viewer.env import ViewedEnv
-from mjlab_viewer.policies import Policy
 
 _log = logging.getLogger("mjlab")
+
+Policy: TypeAlias = Callable[[Any], torch.Tensor]
+"""Actions for observations. A recurrent policy also has `reset(dones)`, with a bool mask (num_envs,) or None."""
 
 SPEEDS = tuple(2.0**power for power in range(-5, 4))
 """Speeds to choose from, relative to real time."""
@@ -199,3 +203,33 @@ class Playback:
 def one_line(what: str, error: Exception) -> str:
   """Return an error as one line, with the part that failed."""
   return f"{what}: {type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
+
+
+class ZeroPolicy:
+  """Zero actions, (num_envs, num_actions)."""
+
+  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
+    self._actions = torch.zeros(num_envs, num_actions, device=device)
+
+  def __call__(self, observations: object) -> torch.Tensor:
+    del observations
+    return self._actions
+
+
+class RandomPolicy(ZeroPolicy):
+  """Uniform actions in [-1, 1), (num_envs, num_actions)."""
+
+  def __call__(self, observations: object) -> torch.Tensor:
+    return super().__call__(observations).uniform_(-1.0, 1.0)
+
+
+@dataclass(kw_only=True, frozen=True)
+class CheckpointList:
+  """Checkpoints of a run that a user can choose from."""
+
+  names: Callable[[], Sequence[str]]
+  """Return the present names, oldest first; called again for each refresh."""
+  load: Callable[[str], Policy]
+  """Return the policy of a name, or raise an error that says why it cannot be loaded."""
+  loaded: str
+  """Name of the first policy; it need not be one of `names`."""

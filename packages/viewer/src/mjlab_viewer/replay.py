@@ -11,10 +11,9 @@ import mujoco
 import numpy as np
 import torch
 
-from mjlab_viewer.host_world import HostWorld, copy_world
 from mjlab_viewer.pictures.offscreen import OffscreenRenderer
 from mjlab_viewer.pictures.video import VideoFile
-from mjlab_viewer.snapshot import FIELDS, Snapshot, SnapshotTaker
+from mjlab_viewer.snapshot import FIELDS, HostWorld, Snapshot, SnapshotTaker, copy_world
 
 
 class Replay:

@@ -13,7 +13,7 @@ from mjlab_robots.motors import Motor, action_scales, position_servos
 # Motors
 
 ARM_FREQUENCY, GRIPPER_FREQUENCY = 2.0, 1.0
-"""Of servos that move the arm, and the gripper [Hz]."""
+"""Natural frequencies of the servos of the arm and of the gripper [Hz]."""
 
 
 def _dm4340(inertia: float) -> Motor:
@@ -30,11 +30,11 @@ def _dm4310(inertia: float) -> Motor:
   )
 
 
-# A crank turns 2.7 rad of a DM4310 into 71 mm of opening, of which the fingers get half each.
+# A crank turns 2.7 rad of a DM4310 into 71 mm of opening; each finger moves half of it.
 CRANK = 0.071 / 2.7
 """Travel of the gripper per turn of its motor [m/rad]."""
 
-# A tenth of what the motor could do: enough to hold, too little to crush.
+# A tenth of the motor's effort is enough to hold objects and does not crush them.
 GRIPPER_MOTOR = Motor(
   armature=0.0018 / CRANK**2,
   effort_limit=0.1 * 10.0 / CRANK,
@@ -60,7 +60,7 @@ YAM_ACTUATORS: tuple[ActuatorCfg, ...] = position_servos(_MOTORS)
 YAM_ACTION_SCALE: dict[str, float] = action_scales(_MOTORS)
 """Shift of the target per unit of action, by joint pattern [rad, m]: q_target = q_default + scale * action.
 
-Those of joint5 and joint6 exceed what the joints can do; a task should clip its targets.
+The scales of joint5 and joint6 exceed the range of the joints; a task should clip its targets.
 """
 
 # Pose and contacts
@@ -93,7 +93,7 @@ _PRESETS: dict[str, tuple[CollisionCfg, ...]] = {
 
 # Model
 
-# Files of a link share a frame, and most links' are numbered through.
+# All files of a link share a frame.
 _UPPER_ARM = ((0.0199992, -0.1041, -2.44738e-05), (1.0, -1.0, -1.0, -1.0))
 _FOREARM = ((-0.244001, 0.104101, 2.44738e-05), (1.0, 1.0, 1.0, -1.0))
 _HAND_FRAME = ((0.0, -0.164101, -0.110597), (1.0, -1.0, 0.0, 0.0))

@@ -7,7 +7,7 @@ from mjlab_core import MjlabError, UsageError
 
 
 def check_address(host: str, port: int) -> None:
-  """Check that this machine can listen on an address; the server would wait for a foreign one without end.
+  """Check that this machine can listen on an address; otherwise the server would wait without end.
 
   Raises:
     UsageError: There is no such port.
@@ -16,11 +16,11 @@ def check_address(host: str, port: int) -> None:
   if not 0 < port < 65536:
     raise UsageError(f"port {port} does not exist; use 1 to 65535")
   try:
-    # The server itself takes the next port where this one is taken.
+    # If the port is taken, the server itself uses the next one.
     with socket.create_server((host, 0)):
       pass
   except OSError as error:
-    # Python repeats the address behind the system's own words.
+    # Python repeats the address after the system's message.
     reason = (error.strerror or str(error)).partition(" (while ")[0]
     raise MjlabError(f"cannot listen on {host}: {reason}") from error
 

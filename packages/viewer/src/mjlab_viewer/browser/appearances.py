@@ -1,4 +1,4 @@
-"""Worlds of different appearance on one page: colors, sizes and meshes of their own."""
+"""Worlds with different colors, sizes and meshes on one page."""
 
 from __future__ import annotations
 
@@ -9,22 +9,21 @@ import numpy as np
 import viser
 
 from mjlab_viewer.browser.mjviser_scene import MujocoScene, ServerUnder
-from mjlab_viewer.host_world import HostWorld, copy_world
-from mjlab_viewer.snapshot import Snapshot
+from mjlab_viewer.snapshot import HostWorld, Snapshot, copy_world
 
 _VISUAL = """geom_rgba geom_size geom_pos geom_quat geom_dataid geom_matid mat_rgba site_pos site_quat""".split()
 
 
 def appearance_key(snapshot: Snapshot, row: int) -> bytes:
-  """Return a key that differs between worlds of different appearance; empty where all are alike."""
+  """Return a key that worlds of the same appearance share; empty if all worlds are alike."""
   return b"".join(snapshot.model[name][row].tobytes() for name in _VISUAL if name in snapshot.model)
 
 
 class OtherAppearances:
   """Bodies of worlds that do not look like the selected one.
 
-  mjviser has one appearance for all worlds, so each further one has a scene of its own, under a node of its own. Scenes
-  are reused when an appearance changes; there are never more than worlds shown.
+  mjviser shows all worlds alike, so each further appearance has a separate scene under a separate node. Scenes are
+  reused when an appearance changes; there are never more than worlds shown.
 
   Args:
     server: Server of the page.

@@ -18,8 +18,7 @@ from mjlab_viewer.browser.recorder import Recorder
 from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.time_line import TimeLine
 from mjlab_viewer.env import ViewedEnv, floating_dofs, push
-from mjlab_viewer.playback import SPEEDS, Playback
-from mjlab_viewer.policies import CheckpointList
+from mjlab_viewer.playback import SPEEDS, CheckpointList, Playback
 from mjlab_viewer.replay import Replay
 
 
@@ -93,8 +92,8 @@ class PlaybackControls:
   ) -> None:
     self._server, self._playback, self._selection = server, playback, selection
     self._scene, self._recorder = scene, recorder
-    self._episode_end = EpisodeEnd(playback.env, selection)
-    playback.on_step.append(self._episode_end.update)
+    self._episode_end = ""
+    playback.on_step.append(self._note_episode_end)
     self._gui = gui = server.gui
     self.inputs = Inputs(server)
     self._status = gui.add_html("")
@@ -145,7 +144,7 @@ class PlaybackControls:
     if isinstance(playback.env, Replay):
       lines = [playback.env.note(world)]
     else:
-      lines = [f"step {step}, {step * playback.env.step_dt:.2f} s, world {world}", self._episode_end.reason]
+      lines = [f"step {step}, {step * playback.env.step_dt:.2f} s, world {world}", self._episode_end]
     line = "<br>".join([f"<b>{state}</b>", *(html.escape(text) for text in lines if text)])
     if not self._scene.is_finite:
       line += f"<br>world {world} is not finite: shown as it was before"
@@ -158,6 +157,16 @@ class PlaybackControls:
       self._notified = playback.error
       if playback.error is not None:
         self._notify("Paused", playback.error, "red")
+
+  def _note_episode_end(self) -> None:
+    """Note the terminations of the selected world in the step just done, from the environment's signals."""
+    names, values = self._playback.env.signals().get("terminations", ((), None))
+    if values is None:
+      return
+    world = self._selection.world
+    reasons = [name for name, flag in zip(names, values[world].tolist(), strict=True) if flag]
+    if reasons:
+      self._episode_end = f"world {world} last ended by {', '.join(reasons)}"
 
   def _request(self, button: viser.GuiButtonHandle, action: Callable[[], None]) -> None:
     self.inputs.on_press(button, lambda _: self._playback.request(action))
@@ -274,24 +283,6 @@ class ManualCommand:
     self._world = world
     if world is not None:
       self._command.steer(world, values)
-
-
-class EpisodeEnd:
-  """Reason for which the last episode of the selected world ended, from the environment's signals."""
-
-  def __init__(self, env: ViewedEnv, selection: Selection) -> None:
-    self._env, self._selection = env, selection
-    self.reason = ""
-
-  def update(self) -> None:
-    """Read the terminations of the step just done."""
-    names, values = self._env.signals().get("terminations", ((), None))
-    if values is None:
-      return
-    world = self._selection.world
-    reasons = [name for name, flag in zip(names, values[world].tolist(), strict=True) if flag]
-    if reasons:
-      self.reason = f"world {world} last ended by {', '.join(reasons)}"
 
 
 def _ratio(speed: float) -> str:

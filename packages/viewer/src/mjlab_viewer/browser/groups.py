@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -63,40 +63,34 @@ class GroupControls:
 
 
 def geom_labels(model: mujoco.MjModel) -> dict[int, str]:
-  """Return for each group of geoms the names of the entities in it, and whether these geoms collide."""
-  labels = {}
-  for group, names, bodies in _members(model.geom_group, model.geom, model.geom_bodyid):
-    collide = (model.geom_contype | model.geom_conaffinity)[model.geom_group == group].astype(bool)
-    kind = "collision" if collide.all() else "" if collide.any() else "visual"
-    labels[group] = _label(_owners(model, names, bodies), kind)
+  """Return for each group of geoms the names of the entities in it, and "collision" or "visual" if all of them are."""
+  labels = _owners(model, model.geom_group, model.geom, model.geom_bodyid)
+  collides = (model.geom_contype | model.geom_conaffinity).astype(bool)
+  for group in labels:
+    in_group = collides[model.geom_group == group]
+    if in_group.all() or not in_group.any():
+      labels[group] += ": collision" if in_group.all() else ": visual"
   return labels
 
 
 def site_labels(model: mujoco.MjModel) -> dict[int, str]:
   """Return for each group of sites the names of the entities in it."""
-  groups = _members(model.site_group, model.site, model.site_bodyid)
-  return {group: _label(_owners(model, names, bodies)) for group, names, bodies in groups}
+  return _owners(model, model.site_group, model.site, model.site_bodyid)
 
 
-def _members(
-  groups: np.ndarray, element: Callable[[int], Any], bodies: np.ndarray
-) -> Iterator[tuple[int, list[str], np.ndarray]]:
-  """Yield each group with the names and bodies of its elements."""
+def _owners(
+  model: mujoco.MjModel, groups: np.ndarray, element: Callable[[int], Any], bodies: np.ndarray
+) -> dict[int, str]:
+  """Return for each group the entities of its elements: prefixes of names, or else the bodies at their roots."""
+  labels = {}
   for group in np.unique(groups):
-    found = np.flatnonzero(groups == group)
-    yield int(group), [element(int(i)).name for i in found], bodies[found]
-
-
-def _owners(model: mujoco.MjModel, names: Sequence[str], bodies: np.ndarray) -> list[str]:
-  """Return the entities of elements, without repetition: prefixes of names, or else the bodies at their roots."""
-  owners = []
-  for name, body in zip(names, bodies, strict=True):
-    root = model.body(int(model.body_rootid[body])).name
-    prefix = (name if "/" in name else root).partition("/")[0]
-    owners.append(name or prefix if root == "world" and "/" not in name else prefix)
-  return list(dict.fromkeys(owners))
-
-
-def _label(owners: Sequence[str], kind: str = "") -> str:
-  shown = ", ".join(owners[:_MOST_OWNERS]) + (" ..." if len(owners) > _MOST_OWNERS else "")
-  return f"{shown}: {kind}" if kind else shown
+    owners: list[str] = []
+    for number in np.flatnonzero(groups == group):
+      name = element(int(number)).name
+      root = model.body(int(model.body_rootid[bodies[number]])).name
+      # An element of the world itself has only its name.
+      owner = name if "/" in name or (name and root == "world") else root
+      owners.append(owner.partition("/")[0])
+    owners = list(dict.fromkeys(owners))
+    labels[int(group)] = ", ".join(owners[:_MOST_OWNERS]) + (" ..." if len(owners) > _MOST_OWNERS else "")
+  return labels

@@ -19,7 +19,7 @@ PRIVATE_NAMES = {
   "_update_decor_from_mjvscene": "mjviser draws contacts that it computes itself; the simulation's are drawn instead",
   "_tracked_body_id": "mjviser follows the first body that moves, and has no public way to choose another",
   "_sync_visibilities": "mjviser applies visible groups only behind its own check boxes",
-  "_mjv_option": "no public flag tells whether contact forces are split, nor which groups of joints are shown",
+  "_mjv_option": "it has no public flags for split contact forces and for visible groups of joints",
 }
 """Private names of `ViserMujocoScene` that are used here, with the reason."""
 
@@ -48,13 +48,13 @@ class MujocoScene(ViserMujocoScene):
     super()._update_decor_from_mjvscene(mj_data, scene_offset)
 
   def track(self, body: int | None) -> None:
-    """Keep a body at the origin of the page, or none."""
+    """Keep a body at the origin of the page; with None, keep the camera where it is."""
     self.camera_tracking_enabled = body is not None
     if body is not None and hasattr(self, "_tracked_body_id"):
       self._tracked_body_id = body
 
   def show_groups(self, geoms: list[bool], sites: list[bool]) -> None:
-    """Show these groups of geoms and sites alone."""
+    """Show only these groups of geoms and sites."""
     if (self.geom_groups_visible, self.site_groups_visible) == (geoms, sites):
       return
     self.geom_groups_visible, self.site_groups_visible = list(geoms), list(sites)
@@ -79,7 +79,7 @@ class MujocoScene(ViserMujocoScene):
 class _SceneUnder:
   """viser's scene with every node that is added under a path, and without environment maps.
 
-  The page is almost invisible until the browser has loaded a map, and for ever if it cannot.
+  The page is almost invisible until the browser has loaded a map, and stays so if it cannot.
   """
 
   def __init__(self, scene: viser.SceneApi, path: str) -> None:
@@ -95,7 +95,7 @@ class _SceneUnder:
 
 
 class ServerUnder:
-  """viser's server whose scene adds every node under a path, and has the lights of its user alone."""
+  """viser's server, with a scene that adds every node under a path and has no environment map."""
 
   def __init__(self, server: viser.ViserServer, path: str) -> None:
     self._server = server

@@ -22,9 +22,9 @@ class Recorder:
 
   Args:
     env: The environment.
-    taker: Copies the world.
-    scene: Tells whether contacts are shown.
-    selection: Tells which world is selected.
+    taker: Snapshot taker of the environment.
+    scene: Scene that shows contacts or not; the film does the same.
+    selection: Selection, with the world to film.
     camera: Camera of the film.
     folder: Folder of the films.
   """
@@ -61,7 +61,7 @@ class Recorder:
     """Finish the film, and return its path.
 
     Raises:
-      MjlabError: there is no film; the message says why.
+      MjlabError: There is no film; the message says why.
     """
     video, self._video = self._video, None
     assert video is not None
@@ -74,7 +74,7 @@ class Recorder:
     """Add a frame of the present state, if a film is made.
 
     Raises:
-      Exception: drawing or rendering failed; the film is given up.
+      Exception: Drawing or rendering failed; the film has ended without a file.
     """
     video = self._video
     if video is None:

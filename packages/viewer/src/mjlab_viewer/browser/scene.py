@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -16,8 +17,7 @@ from mjlab_viewer.browser.shapes import BatchedShapes
 from mjlab_viewer.camera import Camera, first_moving_body
 from mjlab_viewer.drawing.contacts import contact_shapes, embolden
 from mjlab_viewer.drawing.draw_list import Shapes
-from mjlab_viewer.host_world import HostWorld, copy_world
-from mjlab_viewer.snapshot import Snapshot
+from mjlab_viewer.snapshot import HostWorld, Snapshot, copy_world
 
 _AMBIENT = 1.0
 """Intensity of the light from all sides; with viser's two lamps, the page is as bright as films are."""
@@ -99,13 +99,16 @@ class BrowserScene:
     data, scene = snapshot.data, self.scene
     # Overlays follow from the very state and model of the selected world.
     copy_world(snapshot, 0, self._own.model, scene.mj_data)
-    keys = [appearance_key(snapshot, row) for row in range(len(snapshot.worlds))]
-    if keys[0] != self._key:
-      self._key = keys[0]
+    rows: dict[bytes, list[int]] = defaultdict(list)
+    for row in range(len(snapshot.worlds)):
+      rows[appearance_key(snapshot, row)].append(row)
+    key = next(iter(rows))
+    alike = rows.pop(key)
+    if key != self._key:
+      self._key = key
       scene.rebuild_visual_handles()
-    alike = [row for row, key in enumerate(keys) if key == keys[0]]
     self.is_finite = snapshot.is_finite()
-    poses = _poses(data, *self._places(snapshot))
+    poses = self._poses(snapshot)
     scene.update_from_arrays(
       **{name: values[alike] for name, values in poses.items()},
       env_idx=0,
@@ -115,12 +118,8 @@ class BrowserScene:
       ctrl=data.get("ctrl"),
     )
     offset = np.asarray(scene.fixed_bodies_frame.position)
-    different: dict[bytes, list[int]] = {}
-    for row, key in enumerate(keys):
-      if key != keys[0]:
-        different.setdefault(key, []).append(row)
     moved = {name: values + offset if name.endswith("pos") else values for name, values in poses.items()}
-    self.others.show(snapshot, different, moved, scene)
+    self.others.show(snapshot, rows, moved, scene)
     drawn = [shapes for drawing in snapshot.drawings for shapes in drawing.shapes]
     self._shapes.show(drawn + self._contacts(snapshot), offset)
     self._marks.show(self._mark(poses["body_xpos"]), offset)
@@ -142,10 +141,8 @@ class BrowserScene:
       return []
     size = 0.06 * self._camera.distance
     start = xpos[0, body] + np.array([0.0, 0.0, self._camera.above + 2.2 * size])
-    position, direction, width, color = (
-      np.array([row], dtype=float) for row in (start, (0.0, 0.0, -size), (0.1 * size,), _MARK)
-    )
-    return [Shapes("arrow", position, direction, width, color)]
+    direction, width = np.array([[0.0, 0.0, -size]]), np.array([[0.1 * size]])
+    return [Shapes("arrow", start[None], direction, width, np.array([_MARK]))]
 
   def _contacts(self, snapshot: Snapshot) -> list[Shapes]:
     """Return the contacts of the selected world, in mjviser's colors and sizes."""
@@ -157,15 +154,20 @@ class BrowserScene:
     contacts, split = self._own.contacts(snapshot), self.scene.splits_contact_forces
     return contact_shapes(contacts, self._own.model, points=points, forces=forces, split=split)
 
-  def _places(self, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and orientations of all bodies; of a world that diverged, the last finite ones."""
+  def _poses(self, snapshot: Snapshot) -> dict[str, np.ndarray]:
+    """Return poses of all bodies as mjviser needs them, one row for each world.
+
+    A world that diverged has its last finite poses.
+    """
     xpos, xquat = snapshot.data["xpos"].copy(), snapshot.data["xquat"].copy()
     for row, world in enumerate(snapshot.worlds):
       if snapshot.is_finite(row):
         self._finite[world] = xpos[row], xquat[row]
       else:
         xpos[row], xquat[row] = self._finite.get(world, self._rest)
-    return xpos, xquat
+    matrices = viser.transforms.SO3(xquat.reshape(-1, 4)).as_matrix().reshape(*xquat.shape[:2], 3, 3)
+    mocap = {name: snapshot.data[name] for name in ("mocap_pos", "mocap_quat") if name in snapshot.data}
+    return {"body_xpos": xpos, "body_xmat": matrices, **mocap}
 
   def _target(self) -> np.ndarray:
     if self.scene.camera_tracking_enabled:
@@ -176,11 +178,3 @@ class BrowserScene:
 
   def _eye(self) -> np.ndarray:
     return self._target() + self._camera.offset
-
-
-def _poses(data: dict[str, np.ndarray], xpos: np.ndarray, xquat: np.ndarray) -> dict[str, np.ndarray]:
-  """Return poses of all bodies as mjviser needs them, one row for each world."""
-  matrices = viser.transforms.SO3(xquat.reshape(-1, 4)).as_matrix().reshape(*xquat.shape[:2], 3, 3)
-  poses = {"body_xpos": xpos, "body_xmat": matrices}
-  poses |= {name: data[name] for name in ("mocap_pos", "mocap_quat") if name in data}
-  return poses

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections import defaultdict
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,6 +18,9 @@ from mjlab_viewer.drawing.mjv import mesh_id
 # Share of the shaft of an arrow, as MuJoCo draws it, and width of its head relative to the shaft.
 _SHAFT = 0.8
 _HEAD_WIDTH = 2.0
+
+_PARTS = {"arrow": ("shaft", "head"), "line": ("line",), "ellipsoid": ("ellipsoid",)}
+"""Batches that show a kind of shapes."""
 
 
 class BatchedShapes:
@@ -40,14 +44,11 @@ class BatchedShapes:
     """
     batches: dict[str, list[Shapes]] = defaultdict(list)
     for shapes in drawn:
-      if shapes.kind == "mesh":
-        if mesh_id(self._model, shapes.mesh) >= 0:
-          batches[f"mesh/{shapes.mesh}"].append(shapes)
-      elif shapes.kind == "arrow":
-        batches["shaft"].append(shapes)
-        batches["head"].append(shapes)
-      else:
-        batches[shapes.kind].append(shapes)
+      if shapes.kind != "mesh":
+        for part in _PARTS[shapes.kind]:
+          batches[part].append(shapes)
+      elif mesh_id(self._model, shapes.mesh) >= 0:
+        batches[f"mesh/{shapes.mesh}"].append(shapes)
     for name, parts in batches.items():
       self._show_batch(name, parts, offset)
     for name, handle in self._handles.items():
@@ -74,6 +75,13 @@ class BatchedShapes:
     if (opacity == 1.0).all():
       # Opaque shapes hide each other.
       opacity = None
+    look: dict[str, Any] = {
+      "batched_wxyzs": wxyz.astype(np.float32),
+      "batched_positions": position.astype(np.float32),
+      "batched_scales": scale.astype(np.float32),
+      "batched_colors": rgb,
+      "batched_opacities": opacity,
+    }
     handle = self._handles.get(name)
     if handle is None:
       mesh = self._unit_mesh(name)
@@ -81,20 +89,14 @@ class BatchedShapes:
         f"{self._path}/{name}",
         np.asarray(mesh.vertices, dtype=np.float32),
         np.asarray(mesh.faces, dtype=np.uint32),
-        batched_wxyzs=wxyz,
-        batched_positions=position,
-        batched_scales=scale,
-        batched_colors=rgb,
-        batched_opacities=opacity,
+        **look,
         lod="off",
         cast_shadow=False,
         receive_shadow=False,
       )
       return
-    handle.batched_positions = position.astype(np.float32)
-    handle.batched_wxyzs = wxyz.astype(np.float32)
-    handle.batched_scales = scale.astype(np.float32)
-    handle.batched_colors, handle.batched_opacities = rgb, opacity
+    for field, value in look.items():
+      setattr(handle, field, value)
     handle.visible = True
 
   def _unit_mesh(self, name: str) -> trimesh.Trimesh:

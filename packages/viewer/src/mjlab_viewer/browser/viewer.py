@@ -23,8 +23,7 @@ from mjlab_viewer.browser.training_panel import TrainingPanel
 from mjlab_viewer.browser.viser_internals import read_icons_once, repair_wakeup
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
-from mjlab_viewer.playback import Playback, one_line
-from mjlab_viewer.policies import CheckpointList
+from mjlab_viewer.playback import CheckpointList, Playback, one_line
 from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 
 _log = logging.getLogger("mjlab")
@@ -40,14 +39,14 @@ class BrowserViewer:
   """Page that shows worlds of an environment.
 
   The thread that owns the environment calls `update` regularly. It shows the worlds when a picture is due and a client
-  is connected, and otherwise returns at once. The page runs in threads of its own, which only leave requests.
+  is connected, and otherwise returns at once. The page runs in separate threads, which only leave requests.
 
   Args:
     env: The environment.
     playback: Steps the environment, controlled by the page; None where the caller steps it.
     checkpoints: Policies to choose from.
     host: Address to listen on; with the default only this machine can connect.
-    port: Port to listen on; the next free one if it is taken.
+    port: Port to listen on; if it is taken, the next free one is used.
     camera: First camera.
     max_worlds: Greatest number of worlds shown at once.
     video_folder: Folder of the films of the record button.
@@ -55,7 +54,7 @@ class BrowserViewer:
     on_stop: Function that stops a training; the page then has a panel of the training, with a button that calls it.
 
   Raises:
-    MjlabError: a body or address is impossible.
+    MjlabError: The model has no such body, or the server cannot listen on the address.
   """
 
   def __init__(
@@ -137,7 +136,7 @@ class BrowserViewer:
     if now >= self._due["status"] and self._controls is not None:
       self._due["status"] = now + _STATUS_PERIOD
       self._controls.show_status()
-    # After a picture that took too long comes a pause, not a backlog.
+    # After a slow picture, the next one is due a little later instead of at once.
     self._due["frame"] = max(now + FRAME, self._clock() + FRAME / 4)
 
   def run(self, until: Callable[[], bool] = lambda: False) -> None:

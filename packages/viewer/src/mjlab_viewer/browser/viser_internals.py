@@ -1,6 +1,6 @@
 """Repairs of viser, and all uses of its private names.
 
-Without these names, viser does as before.
+Without these names, viser works without the repairs.
 
 Its way to wake the thread that sends: viser 1.1 sets an `asyncio.Event` in the thread that writes a message, and then
 asks the thread of the event loop to set it too. The first call is not safe: it goes through the waiters while the loop

@@ -52,15 +52,11 @@ class DrawList:
   """
 
   def __init__(self, worlds: Sequence[int] = (0,)) -> None:
-    self._worlds = tuple(worlds)
+    self.worlds: Sequence[int] = tuple(worlds)
+    """Numbers of the worlds that are shown."""
     self._batches: list[tuple[ShapeKind, str, tuple[Any, ...]]] = []
     self.shapes: list[Shapes] = []
     """Drawn shapes, after `finish`."""
-
-  @property
-  def worlds(self) -> Sequence[int]:
-    """Numbers of the worlds that are shown."""
-    return self._worlds
 
   def arrows(self, start: Array, end: Array, color: Color, radius: float | Array) -> None:
     self._add("arrow", start, end, color, _column(radius))

@@ -38,18 +38,18 @@ class NativePlots:
   """
 
   def __init__(self, groups: Mapping[str, Sequence[str]]) -> None:
-    self._pages = [page for group, names in groups.items() for page in _pages(group, names)]
-    self._page = -1
+    pages = [page for group, names in groups.items() for page in _pages(group, names)]
+    self._pages: deque[Page | None] = deque([None, *pages])
     self._kept: deque[Snapshot] = deque(maxlen=HISTORY)
 
   @property
   def page(self) -> Page | None:
     """Page that is plotted, or None."""
-    return self._pages[self._page] if self._page >= 0 else None
+    return self._pages[0]
 
   def turn(self) -> None:
     """Show the next page, and after the last one none."""
-    self._page = self._page + 1 if self._page + 1 < len(self._pages) else -1
+    self._pages.rotate(-1)
 
   def add(self, snapshot: Snapshot) -> None:
     """Add a moment; another world starts new curves."""

@@ -16,10 +16,9 @@ from mjlab_core import RenderingError
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.drawing.contacts import contact_shapes
 from mjlab_viewer.drawing.mjv import add_to_scene, count_geoms, thinned
-from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.native.plots import NativePlots
 from mjlab_viewer.playback import Playback
-from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
+from mjlab_viewer.snapshot import HostWorld, Snapshot, SnapshotTaker
 
 FRAME = 1 / 60
 """Time between pictures [s]."""
@@ -47,7 +46,7 @@ _ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
 
 
 class NativeViewer:
-  """Shows one world in MuJoCo's passive viewer, on a model and data of its own.
+  """Shows one world in MuJoCo's passive viewer, with a copy of the model.
 
   The controls of MuJoCo's window work: contact points and forces (keys C and F), cameras, and dragging a body with Ctrl
   and the right mouse button, whose force reaches the simulation. `KEYS` lists further keys.
@@ -57,8 +56,8 @@ class NativeViewer:
     camera: First camera.
 
   Raises:
-    RenderingError: this machine cannot open a window.
-    MjlabError: the model lacks the body of the camera.
+    RenderingError: This machine cannot open a window.
+    UnknownNameError: The model has no body of the camera's name.
   """
 
   def __init__(self, playback: Playback, *, camera: CameraCfg | None = None) -> None:

@@ -15,10 +15,9 @@ from mjlab_core.constraints import PositiveCount
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.drawing.contacts import contact_shapes, embolden
 from mjlab_viewer.drawing.mjv import add_to_scene, count_geoms
-from mjlab_viewer.host_world import HostWorld
 from mjlab_viewer.pictures.opengl import make_context
 from mjlab_viewer.pictures.page_look import look_like_the_page
-from mjlab_viewer.snapshot import Snapshot
+from mjlab_viewer.snapshot import HostWorld, Snapshot
 
 _SHADOW_REACH = 1.5
 """Half the side of the ground that has shadows, in distances of the camera."""
@@ -53,7 +52,7 @@ class OffscreenRenderer:
 
   Raises:
     RenderingError: OpenGL does not work on this machine, or not for pictures of this size.
-    MjlabError: the camera is impossible.
+    UnknownNameError: The model has no body of the camera's name.
   """
 
   def __init__(self, model: mujoco.MjModel, cfg: PictureCfg | None = None) -> None:
@@ -64,7 +63,7 @@ class OffscreenRenderer:
     # Sharper shadows are not visible in a film, and without a GPU they take most of the time.
     quality = model.vis.quality
     quality.shadowsize = min(quality.shadowsize, 2048)
-    # Nor are more facets of cylinders and spheres.
+    # More facets of cylinders and spheres are not visible either.
     quality.numslices, quality.numstacks = min(quality.numslices, 16), min(quality.numstacks, 8)
     if self.cfg.contacts:
       embolden(model, of=model)
@@ -140,7 +139,7 @@ class OffscreenRenderer:
   def _place_shadows(self, target: np.ndarray) -> None:
     """Center the shadow maps of directional lights on a point; ground that their border cuts casts no shadow.
 
-    MuJoCo speckles triangles that the border cuts with shadows of their own.
+    Otherwise MuJoCo shows speckles on the triangles that the border cuts.
     """
     model, reach = self._world.model, _SHADOW_REACH * self._view.distance
     is_fixed = model.body_weldid[model.geom_bodyid] == 0

@@ -15,12 +15,12 @@ _LIBRARIES = {"egl": "EGL", "osmesa": "OSMesa"}
 
 
 def make_context(width: int, height: int) -> Any:
-  """Return an OpenGL context of MuJoCo's, current in this thread; use it only in this thread.
+  """Return an OpenGL context of MuJoCo, current in this thread; use it only in this thread.
 
-  MUJOCO_GL chooses egl, osmesa or glfw; without it the first that works is taken.
+  The environment variable MUJOCO_GL chooses egl, osmesa or glfw. The default is the first that works.
 
   Raises:
-    RenderingError: none works; the message is one line with the attempts and a remedy.
+    RenderingError: None works; the message is one line with the attempts and a remedy.
   """
   chosen = os.environ.get("MUJOCO_GL", "").lower().strip()
   if chosen in ("disable", "disabled", "off", "false", "0"):
@@ -30,7 +30,7 @@ def make_context(width: int, height: int) -> Any:
   elif chosen in ("egl", "osmesa", "glfw"):
     candidates = [chosen]
   else:
-    # PyOpenGL keeps the first library that it is pointed at, so a missing one must not be tried.
+    # PyOpenGL keeps the first library that it tries, so a missing one must not be tried.
     candidates = [name for name, library in _LIBRARIES.items() if ctypes.util.find_library(library)]
     candidates += ["glfw"] if os.environ.get("DISPLAY") else []
   _load_triton()

@@ -9,7 +9,7 @@ _GROUND = 255
 _CELL, _SECTION = 205, 150
 """Grey of the thin lines and of the thick ones."""
 _GLOW = 0.17
-"""Light of the ground itself: it is white where it has no shadow."""
+"""Emission of the ground, which makes it white outside shadows."""
 
 
 def look_like_the_page(model: mujoco.MjModel) -> None:
@@ -32,7 +32,7 @@ def look_like_the_page(model: mujoco.MjModel) -> None:
   visual = model.vis
   visual.rgba.haze[:] = 1.0
   visual.headlight.ambient[:], visual.headlight.diffuse[:], visual.headlight.specular[:] = 0.45, 0.3, 0.0
-  # The page has one lamp with shadows, far away.
+  # The page has one lamp with shadows, which is far away.
   is_far = model.light_type == mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
   casting = sorted(np.flatnonzero(model.light_castshadow), key=lambda light: not is_far[light])
   model.light_castshadow[casting[1:]] = False

@@ -22,8 +22,8 @@ class TrainingVideo:
   """Films the first worlds as tiles: `length` steps, every `interval` steps.
 
   `after_step` copies a few worlds to the host. One thread renders and encodes all films in the background. If it cannot
-  keep up, it repeats frames instead of delaying the training; only the first frame of a film waits for room, so that no
-  film is lost. If rendering or a drawing fails, one warning is logged and filming stops.
+  keep up, it repeats frames instead of delaying the training. Only the first frame of a film waits, so that no film is
+  lost. If rendering or a drawing fails, one warning is logged and filming stops.
 
   Args:
     env: The environment.
