@@ -172,7 +172,7 @@ def fit_motor(
     network=result,
     curve=curve,
     train_error=_error(result, x, y),
-    held_out_error=_error(result, x_held, y_held),
+    held_out_error=curve[-1].held_out_error,
     pd_error=pd.error(held, first),
     pd_gains=(pd.stiffness, pd.damping),
     motor_error=motor.error(held, first),
@@ -208,16 +208,14 @@ def _split(tables: Sequence[np.ndarray], cfg: MotorFitCfg) -> tuple[list[np.ndar
 
 
 def _samples(parts: Sequence[np.ndarray], length: int) -> Samples:
-  """Return rows (m, 2 length) and efforts (m,)."""
-  table = torch.tensor(np.concatenate([_windows(part, length) for part in parts]), dtype=torch.float32)
+  """Return rows (samples, 2 length), errors newest first and then velocities newest first, and efforts (samples,)."""
+  tables = []
+  for rows in parts:
+    series = np.stack((rows[:, 0] - rows[:, 1], rows[:, 2]))
+    past = np.lib.stride_tricks.sliding_window_view(series, length, axis=1)[..., ::-1]
+    tables.append(np.concatenate((*past, rows[length - 1 :, 3:]), axis=1))
+  table = torch.tensor(np.concatenate(tables), dtype=torch.float32)
   return table[:, :-1], table[:, -1]
-
-
-def _windows(rows: np.ndarray, length: int) -> np.ndarray:
-  """Return (windows, 2 length + 1): errors newest first, velocities newest first, effort."""
-  errors, velocities = rows[:, 0] - rows[:, 1], rows[:, 2]
-  past = [np.lib.stride_tricks.sliding_window_view(series, length)[:, ::-1] for series in (errors, velocities)]
-  return np.concatenate((*past, rows[length - 1 :, 3:]), axis=1)
 
 
 def _trained(
