@@ -31,7 +31,7 @@ class ClipEntry:
 
   path: Path
   weight: float = 1.0
-  """Probability of a moment of it to be a start, relative to moments of other clips."""
+  """Probability that an episode starts at a moment of this clip, relative to moments of other clips."""
   split: str = "train"
 
 
@@ -46,7 +46,7 @@ def find_clips(motion: str, split: str | None = None) -> list[ClipEntry]:
 
   Args:
     motion: Name of a clip that ships, path of a motion file, or path of a folder of them.
-    split: Of a folder, only the clips of this split; None: all.
+    split: Split of a folder whose clips are returned; None: all clips.
 
   Raises:
     UnknownNameError: No clip, file or folder has that name.

@@ -1,4 +1,4 @@
-"""Motion clip: the pose of a floating robot at evenly spaced moments, with the names that make it readable anywhere."""
+"""Motion clip: the pose of a floating robot at evenly spaced moments, with the names of its joints."""
 
 import dataclasses
 from typing import Annotated, Any

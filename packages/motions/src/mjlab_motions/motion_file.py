@@ -1,4 +1,4 @@
-"""Motion files: `.npz` archives without pickles that say what they hold."""
+"""Motion files: `.npz` archives without pickles, with metadata that describe their arrays."""
 
 import os
 from typing import Any

@@ -131,7 +131,7 @@ def check_quality(motion: Motion, robot: Kinematics) -> QualityReport:
   sliding = torch.linalg.vector_norm((linear[:, rows] + torch.linalg.cross(angular[:, rows], arms))[..., :2], dim=-1)
   beyond, fastest = _beyond_range(q, robot).max(1), joint_vel.abs().max(1)
   bodies, joints = tuple(robot.body_names[row] for row in rows), robot.joint_names
-  # Of each check the values, which joint or body they are of, and its names.
+  # Values of each check, the index of the joint or body, and the names of these.
   series: dict[str, tuple[torch.Tensor, torch.Tensor | None, tuple[str, ...]]] = {
     "joint_limit": (beyond.values, beyond.indices, joints),
     "joint_speed": (fastest.values, fastest.indices, joints),

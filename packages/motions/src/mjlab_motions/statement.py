@@ -13,7 +13,7 @@ from mjlab_motions.motion import Motion
 
 QuaternionOrder = Literal["wxyz", "xyzw"]
 JointMap = Mapping[str, str | float]
-"""For each joint of the robot the name of the column that holds it, or a constant position [rad or m]."""
+"""Source of each joint of the robot: the name of a column, or a constant position [rad or m]."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import torch
 from mjlab_core.errors import FileError
-from mjlab_core.rotations import quat_apply
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
@@ -107,11 +106,7 @@ def _quaternion_order(quaternions: np.ndarray, said: Statement, is_mujoco: bool)
 
 def _heights(quaternions: np.ndarray) -> dict[QuaternionOrder, float]:
   """Return the mean height of the root's z axis in either reading of (frames, 4) numbers."""
-  up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-  heights: dict[QuaternionOrder, float] = {}
-  shifts: dict[QuaternionOrder, int] = {"wxyz": 0, "xyzw": 1}
-  for order, shift in shifts.items():
-    quat = torch.from_numpy(quaternions).roll(shift, 1)
-    quat = quat / torch.linalg.vector_norm(quat, dim=-1, keepdim=True)
-    heights[order] = float(quat_apply(quat, up)[:, 2].mean())
-  return heights
+  squares = torch.from_numpy(quaternions).square()
+  squares = squares / squares.sum(1, keepdim=True)
+  columns_of_xy: dict[QuaternionOrder, slice] = {"wxyz": slice(1, 3), "xyzw": slice(0, 2)}
+  return {order: float((1.0 - 2.0 * squares[:, xy].sum(1)).mean()) for order, xy in columns_of_xy.items()}
