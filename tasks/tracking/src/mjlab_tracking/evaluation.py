@@ -1,7 +1,8 @@
 """Evaluation of a tracking policy: whole clips, many times."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from mjlab_core import require
@@ -35,14 +36,15 @@ UNITS = {
 class TrackingEvaluation:
   """Success over whole clips and errors on the way.
 
-  An episode begins at the first frame of its clip, off by what training allows, with its noise and randomisation but
+  An episode begins at the first frame of its clip, with the perturbations, noise and randomisation of training but
   without pushes; it succeeds if it reaches the last frame. Errors are means over the steps of an episode, the one that
   ends it included, then over episodes:
 
   - `mpkpe`: distance of the followed bodies from the reference in the world, mean over bodies;
-  - `r_mpkpe`: the same after robot and reference have been laid over one another at the anchor, heading included;
+  - `r_mpkpe`: the same with the reference moved onto the robot's anchor and turned to its heading;
   - `joint_vel_error`: root mean square over joints;
-  - `ee_pos_error`, `ee_ori_error`: of the end effectors, with the reference laid over the robot at its own height.
+  - `ee_pos_error`, `ee_ori_error`: errors of the end effectors, with the reference laid over the robot at the
+    reference's height.
   """
 
   end_effectors: tuple[str, ...]
@@ -68,12 +70,17 @@ class TrackingEvaluation:
     cfg.terminations["time_out"] = None
     if not self.push:
       cfg.events["push_robot"] = None
-    metrics = {"mpkpe": mpkpe, "r_mpkpe": root_relative_mpkpe, "joint_vel_error": joint_vel_error}
-    of_ends = {"ee_pos_error": body_position_error, "ee_ori_error": body_orientation_error}
-    params: dict[str, Any] = {"command": self.command}
-    cfg.metrics = {name: MetricsTermCfg(func, params=dict(params)) for name, func in metrics.items()}
-    params["bodies"] = self.end_effectors
-    cfg.metrics |= {name: MetricsTermCfg(func, params=dict(params)) for name, func in of_ends.items()}
+
+    def metric(func: Callable[..., torch.Tensor], **params: object) -> MetricsTermCfg:
+      return MetricsTermCfg(func, params={"command": self.command, **params})
+
+    cfg.metrics = {
+      "mpkpe": metric(mpkpe),
+      "r_mpkpe": metric(root_relative_mpkpe),
+      "joint_vel_error": metric(joint_vel_error),
+      "ee_pos_error": metric(body_position_error, bodies=self.end_effectors),
+      "ee_ori_error": metric(body_orientation_error, bodies=self.end_effectors),
+    }
     return cfg
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:

@@ -31,7 +31,7 @@ PHYSICS_DT = 0.005  # s
 DECIMATION = 4
 EPISODE_LENGTH = 10.0  # s
 
-# How far a start is from its frame [m, rad, m/s, rad/s]; pushes are as strong as velocities are off.
+# Perturbation of starts [m, rad, m/s, rad/s]; pushes draw from the same velocities.
 POSE = {
   "x": (-0.05, 0.05),
   "y": (-0.05, 0.05),
@@ -51,11 +51,13 @@ VELOCITY = {
 JOINT_POSITION = (-0.1, 0.1)  # rad
 PUSH_INTERVAL = (1.0, 3.0)  # s
 
-# When it is lost
+# Errors that end the episode
 MAX_HEIGHT_ERROR = 0.25  # m, of the anchor, hands and feet
 MAX_TILT_ERROR = 0.8  # difference of gravity's z in both anchors
 
-# Noise of what the policy sees
+OF_MOTION = {"command": "motion"}
+
+# Noise of observations
 NOISE_ANCHOR_POS = UniformNoiseCfg(n_min=-0.25, n_max=0.25)
 NOISE_ANCHOR_ORI = UniformNoiseCfg(n_min=-0.05, n_max=0.05)
 NOISE_LIN_VEL = UniformNoiseCfg(n_min=-0.5, n_max=0.5)
@@ -86,7 +88,7 @@ class TrackedRobot:
 
 
 def flat_env(robot: TrackedRobot, motion: str) -> ManagerBasedRlEnvCfg:
-  """Return the config of a robot that follows clips on a plane; it shares no part with another config.
+  """Return the config of a robot that follows clips on a plane; each call returns an independent copy.
 
   Args:
     robot: The robot.
@@ -122,7 +124,7 @@ def flat_env(robot: TrackedRobot, motion: str) -> ManagerBasedRlEnvCfg:
       for quantity in tracking.QUANTITIES
     },
   )
-  # Constants and arguments stay behind; and term by term, so that not even two terms of it share a part.
+  # Terms share no part with constants, arguments or one another.
   for group in cfg.observations.values():
     if group is not None:
       group.terms = _apart(group.terms)
@@ -146,41 +148,40 @@ def _self_collision(root: str) -> ContactSensorCfg:
   )
 
 
-def _actor() -> ObservationGroupCfg:
-  motion = {"command": "motion"}
+def _observations(
+  joint_pos: ObservationTermCfg, bodies: dict[str, ObservationTermCfg], *, corrupt: bool
+) -> ObservationGroupCfg:
   return ObservationGroupCfg(
-    corrupt=True,
+    corrupt=corrupt,
     terms={
-      "command": ObservationTermCfg(mdp.generated_commands, params=motion),
-      "motion_anchor_pos_b": ObservationTermCfg(tracking.motion_anchor_pos_b, noise=NOISE_ANCHOR_POS, params=motion),
-      "motion_anchor_ori_b": ObservationTermCfg(tracking.motion_anchor_ori_b, noise=NOISE_ANCHOR_ORI, params=motion),
+      "command": ObservationTermCfg(mdp.generated_commands, params=OF_MOTION),
+      "motion_anchor_pos_b": ObservationTermCfg(tracking.motion_anchor_pos_b, noise=NOISE_ANCHOR_POS, params=OF_MOTION),
+      "motion_anchor_ori_b": ObservationTermCfg(tracking.motion_anchor_ori_b, noise=NOISE_ANCHOR_ORI, params=OF_MOTION),
+      **bodies,
       "base_lin_vel": ObservationTermCfg(
         mdp.builtin_sensor, noise=NOISE_LIN_VEL, params={"sensor": "robot/imu_lin_vel"}
       ),
       "base_ang_vel": ObservationTermCfg(
         mdp.builtin_sensor, noise=NOISE_ANG_VEL, params={"sensor": "robot/imu_ang_vel"}
       ),
-      "joint_pos": ObservationTermCfg(mdp.joint_pos_rel, noise=NOISE_JOINT_POS, params={"biased": True}),
+      "joint_pos": joint_pos,
       "joint_vel": ObservationTermCfg(mdp.joint_vel_rel, noise=NOISE_JOINT_VEL),
       "actions": ObservationTermCfg(mdp.last_action),
     },
   )
 
 
+def _actor() -> ObservationGroupCfg:
+  biased = ObservationTermCfg(mdp.joint_pos_rel, noise=NOISE_JOINT_POS, params={"biased": True})
+  return _observations(biased, {}, corrupt=True)
+
+
 def _critic() -> ObservationGroupCfg:
-  group = _actor()
-  group.corrupt = False
-  motion = {"command": "motion"}
-  terms = dict(group.terms)
-  terms["joint_pos"] = ObservationTermCfg(mdp.joint_pos_rel)
-  before = ("command", "motion_anchor_pos_b", "motion_anchor_ori_b")
-  group.terms = {
-    **{name: terms[name] for name in before},
-    "body_pos": ObservationTermCfg(tracking.robot_body_pos_b, params=motion),
-    "body_ori": ObservationTermCfg(tracking.robot_body_ori_b, params=motion),
-    **{name: term for name, term in terms.items() if name not in before},
+  bodies = {
+    "body_pos": ObservationTermCfg(tracking.robot_body_pos_b, params=OF_MOTION),
+    "body_ori": ObservationTermCfg(tracking.robot_body_ori_b, params=OF_MOTION),
   }
-  return group
+  return _observations(ObservationTermCfg(mdp.joint_pos_rel), bodies, corrupt=False)
 
 
 def _rewards() -> dict[str, RewardTermCfg | None]:
