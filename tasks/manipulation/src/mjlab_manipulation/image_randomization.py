@@ -20,13 +20,13 @@ from mjlab_manipulation import mdp as lifting
 # Camera of a world, drawn once: tolerances of mount and lens
 CAMERA_SHIFT = 0.005  # m, along each axis
 CAMERA_TURN = 0.035  # rad, about each axis
-FOCAL_LENGTH = (0.97, 1.03)  # of what is compiled
+FOCAL_LENGTH = (0.97, 1.03)  # relative to the compiled value
 LIGHT_SHIFT = 0.4  # m, along each axis
 
 # The scene of an episode
-BRIGHTNESS = (0.4, 1.2)  # of what is compiled
+BRIGHTNESS = (0.4, 1.2)  # relative to the compiled value
 GROUND_TINT = (0.1, 0.7)
-GROUND_SQUARES = (0.5, 8.0)  # of what is compiled
+GROUND_SQUARES = (0.5, 8.0)  # relative to the compiled value
 
 # The camera of an episode
 GAIN, GAMMA, BIAS = (0.7, 1.3), (0.8, 1.25), (-0.05, 0.05)

@@ -103,7 +103,7 @@ def lift_cube_ik_env() -> ManagerBasedRlEnvCfg:
 
 
 def lift_env(objects: dict[str, EntityCfg], arm: LiftingArm | None = None) -> ManagerBasedRlEnvCfg:
-  """Return the environment of an arm on a plane with joint actions; it shares no part with another config.
+  """Return the environment of an arm on a plane with joint actions; each call returns an independent copy.
 
   Args:
     objects: Entities of one body each; every world lifts one of them.
@@ -195,7 +195,7 @@ def proprioception() -> dict[str, ObservationTermCfg | None]:
 def state_observations(hand_site: str, *, corrupt: bool) -> ObservationGroupCfg:
   """Return terms of the arm, the object and the goal."""
   terms = proprioception()
-  places: dict[str, ObservationTermCfg | None] = {
+  terms |= {
     "ee_to_cube": ObservationTermCfg(
       lifting.hand_to_object, noise=replace(NOISE_POSITION), params={"command": COMMAND, "hand": hand(hand_site)}
     ),
@@ -203,8 +203,9 @@ def state_observations(hand_site: str, *, corrupt: bool) -> ObservationGroupCfg:
       lifting.object_to_goal, noise=replace(NOISE_POSITION), params={"command": COMMAND}
     ),
   }
-  order = ("joint_pos", "joint_vel", "ee_to_cube", "cube_to_goal", "actions")
-  return ObservationGroupCfg(corrupt=corrupt, terms={name: (terms | places)[name] for name in order})
+  # Policies expect the last action at the end.
+  terms["actions"] = terms.pop("actions")
+  return ObservationGroupCfg(corrupt=corrupt, terms=terms)
 
 
 def _rewards(arm: LiftingArm) -> dict[str, RewardTermCfg | None]:

@@ -43,9 +43,7 @@ def lift_objects_rgb() -> TaskCfg[ManagerBasedRlEnvCfg]:
 def lift_objects_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with many objects."""
   cfg = lift_env({OBJECT: VariantEntityCfg(variants=dict(OBJECTS))})
-  command = cfg.commands[COMMAND]
-  assert isinstance(command, lifting.LiftCommandCfg)
-  command.start = replace(START)
+  cfg.commands[COMMAND] = lifting.LiftCommandCfg(objects=(OBJECT,), start=replace(START))
   for group in cfg.observations.values():
     assert group is not None
     group.terms |= {
@@ -61,15 +59,12 @@ def lift_objects_env() -> ManagerBasedRlEnvCfg:
 
 def lift_objects_depth_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with many objects and randomised depth images."""
-  cfg = lift_objects_env()
-  see(cfg, ("depth",))
-  return randomize_images(cfg)
+  return randomize_images(see(lift_objects_env(), ("depth",)))
 
 
 def lift_objects_rgb_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with many objects and randomised colour images."""
-  cfg = lift_objects_env()
-  see(cfg, ("rgb",))
+  cfg = see(lift_objects_env(), ("rgb",))
   color = randomize_field("geom_rgba", ".*", (0.0, 1.0), axes=("red", "green", "blue"), shared=True)
   cfg.events["object_color"] = randomize_event(color, "reset", OBJECT)
   return randomize_images(cfg)

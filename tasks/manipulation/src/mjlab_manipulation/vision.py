@@ -56,15 +56,12 @@ def multi_cube_seg() -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 def lift_cube_depth_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with depth images."""
-  cfg = lift_cube_env()
-  see(cfg, ("depth",))
-  return cfg
+  return see(lift_cube_env(), ("depth",))
 
 
 def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with colour images."""
-  cfg = lift_cube_env()
-  see(cfg, ("rgb",))
+  cfg = see(lift_cube_env(), ("rgb",))
   color = randomize_field("geom_rgba", "cube", (0.0, 1.0), axes=("red", "green", "blue"), operation="absolute")
   cfg.events["cube_color"] = randomize_event(color, "reset", "cube")
   return cfg
@@ -73,15 +70,12 @@ def lift_cube_rgb_env() -> ManagerBasedRlEnvCfg:
 def multi_cube_seg_env() -> ManagerBasedRlEnvCfg:
   """Return the training environment with three cubes, depth images and a mask of the target."""
   cfg = lift_env({name: EntityCfg(spec_fn=spec_fn) for name, spec_fn in CUBES.items()})
-  command = cfg.commands[COMMAND]
-  assert isinstance(command, lifting.LiftCommandCfg)
-  command.start = copy.deepcopy(CUBES_START)
-  see(cfg, ("depth", "object"))
-  return cfg
+  cfg.commands[COMMAND] = lifting.LiftCommandCfg(objects=tuple(CUBES), start=replace(CUBES_START))
+  return see(cfg, ("depth", "object"))
 
 
-def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> None:
-  """Replace the actor's cube terms by a camera and the goal; the critic keeps its terms."""
+def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> ManagerBasedRlEnvCfg:
+  """Replace the actor's cube terms by a camera and the goal; return `cfg`, changed. The critic keeps its terms."""
   cfg.scene.sensors[CAMERA] = CameraSensorCfg(
     camera="robot/camera_d405",
     width=PIXELS,
@@ -103,6 +97,7 @@ def see(cfg: ManagerBasedRlEnvCfg, channels: tuple[lifting.Channel, ...]) -> Non
       )
     }
   )
+  return cfg
 
 
 def vision_agent(experiment_name: str) -> RslRlOnPolicyRunnerCfg:
