@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, write_bundle
 from mjlab_deploy import DeployError, Golden, open_bundle, write_description
 from mjlab_deploy.arrays import read_arrays, write_arrays
 from mjlab_deploy.command import main
+from mjlab_deploy.scene import load_scene, write_scene
 from mjlab_deploy.verification import verify
 
 RECORDED = replace(DESCRIPTION, golden=Golden(steps=100, engine="native"))
@@ -82,6 +84,24 @@ def test_a_hostile_scene_is_refused(tmp_path: Path, text: str) -> None:
   write_description(folder, RECORDED)
   with open_bundle(folder) as bundle, pytest.raises(DeployError, match=r"scene\.xml"):
     verify(bundle)
+
+
+def test_a_scene_without_its_drawn_meshes_keeps_masses_and_the_numbers_of_its_geoms(tmp_path: Path) -> None:
+  mesh = '<mesh name="hull" vertex="0 0 0  .3 0 0  0 .3 0  0 0 .3"/>'
+  drawn = '<geom type="mesh" mesh="hull" contype="0" conaffinity="0" mass="2"/>'
+  body = f'<body name="b"><freejoint/>{drawn}<geom name="foot" size=".1" mass="1"/></body>'
+  spec = mujoco.MjSpec.from_string(f"<mujoco><asset>{mesh}</asset><worldbody>{body}</worldbody></mujoco>")
+  model = spec.compile()
+  model.geom_size[1, 0], model.geom_friction[1, 0] = 0.07, 0.3
+  folder = write_bundle(tmp_path / "bundle")
+  assert write_scene(spec, folder, {"geom_size": model.geom_size, "geom_friction": model.geom_friction})
+  write_description(folder, DESCRIPTION)
+  with open_bundle(folder) as bundle:
+    scene = load_scene(bundle)
+  assert scene.ngeom == 1
+  assert (scene.geom("foot").size[0], scene.geom("foot").friction[0]) == (0.07, 0.3)
+  for name in ("mass", "inertia", "ipos", "iquat"):
+    np.testing.assert_array_equal(getattr(scene.body("b"), name), getattr(model.body("b"), name))
 
 
 @pytest.mark.parametrize("name", ["nbody", "body_mass", "__class__"])

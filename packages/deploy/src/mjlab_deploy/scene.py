@@ -17,12 +17,12 @@ def write_scene(spec: mujoco.MjSpec, folder: Path, fields: Mapping[str, np.ndarr
   Args:
     spec: Spec of the model; not changed.
     folder: Folder of the bundle.
-    fields: Fields of the model that differ from the spec's; those of other shapes are left out.
+    fields: Fields of the model that differ from the spec's.
 
   Raises:
     DeployError: XML cannot hold the model.
   """
-  spec = spec.copy()
+  whole, spec = spec.copy().compile(), spec.copy()
   for geom in list(spec.geoms):
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH and not (geom.contype or geom.conaffinity):
       spec.delete(geom)
@@ -33,9 +33,14 @@ def write_scene(spec: mujoco.MjSpec, folder: Path, fields: Mapping[str, np.ndarr
   if any(part.file for part in (*spec.meshes, *spec.hfields, *spec.textures, *spec.skins)):
     return False
   model = spec.compile()
-  for name, value in (fields or {}).items():
-    if name in _fields(model) and getattr(model, name).shape == value.shape:
-      getattr(model, name)[...] = value
+  collides = (whole.geom_contype | whole.geom_conaffinity).astype(bool)
+  kept = collides | (whole.geom_type != mujoco.mjtGeom.mjGEOM_MESH)
+  for name in _fields(model):
+    kind, compiled = name.partition("_")[0], np.asarray(getattr(whole, name))
+    value = compiled if fields is None or name not in fields else fields[name].reshape(compiled.shape)
+    # A body without its drawn meshes keeps their mass.
+    if kind not in ("bvh", "mesh"):
+      getattr(model, name)[...] = value[kept] if kind == "geom" else value
   text = spec.to_xml()
   (folder / "scene.xml").write_text(text, encoding="utf-8")
   write_arrays(folder / "scene.npz", _differences(model, mujoco.MjModel.from_xml_string(text)))
