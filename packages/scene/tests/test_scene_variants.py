@@ -1,6 +1,8 @@
 """One entity that is another object in another world."""
 
+import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -47,6 +49,18 @@ def make(make_worlds: Make) -> Make:
 
 def all_of_them(assignment: Any = NAMES) -> VariantEntityCfg:
   return VariantEntityCfg(variants=OBJECTS, init_state=START, assignment=assignment)
+
+
+def test_an_overlay_changes_geoms_and_is_refused_for_what_variants_have_separately(make, tmp_path: Path) -> None:
+  def overlaid(model: dict[str, Any]) -> VariantEntityCfg:
+    path = tmp_path / "identified.json"
+    path.write_text(json.dumps({"format": "mjlab overlay 1", "model": model}))
+    return VariantEntityCfg(variants=OBJECTS, init_state=START, overlay=str(path))
+
+  _, sim = make(overlaid({"geom_friction": {"crate/side": [0.3, 0.004, 0.0002]}}))
+  assert sim.mj_model.geom("thing/crate/side").friction.tolist() == [0.3, 0.004, 0.0002]
+  with pytest.raises(MjlabError, match=r"identified\.json.*every variant has a separate body_mass"):
+    make(overlaid({"body_mass": {"object": [2.0]}}))
 
 
 def test_every_world_has_the_mass_and_inertia_of_its_own_object(make) -> None:

@@ -75,6 +75,8 @@ class VariantEntity(Entity):
     self._contents = {name: _content(models[name]) if name in models else {} for name in self.variant_names}
     self._assignment, self._seed = cfg.assignment, cfg.seed
     super().__init__(cfg, name, spec)
+    if own := [field for field in self.overlay.model if field in FIELDS]:
+      raise MjlabError(f"{self.overlay.source}: every variant has a separate {own[0]}, which an overlay cannot replace")
 
   def initialize(self, sim: Simulation, prefix: str | None = None, rng: torch.Generator | None = None) -> None:
     """Find the entity in the simulation's model, and give every world its variant."""
