@@ -116,7 +116,7 @@ def ghost_centres(env: ManagerBasedRlEnv, motion: Motion, frame: int) -> np.ndar
 def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
   chromium: Browser, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-  # A robot of primitives, whose places are told, also where there are meshes.
+  # A robot of primitives, also where meshes are installed: their places are sent to the page.
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   env, term = tracking()
   motion = clip()

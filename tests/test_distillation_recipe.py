@@ -59,9 +59,9 @@ def test_the_recipe_of_the_readme_runs_from_teacher_to_resumed_student(
     assert manifest.env.scene.sensors["wrist_camera"].width == 16
   assert (students[1] / "model_2.pt").is_file()
   (begun,) = Path("logs", "yam_lift_cube_vision").iterdir()
-  told = load_run(begun).init_from
-  assert told is not None
-  assert Path(told.checkpoint).resolve() == (students[1] / "model_2.pt").resolve()
+  source = load_run(begun).init_from
+  assert source is not None
+  assert Path(source.checkpoint).resolve() == (students[1] / "model_2.pt").resolve()
   header = (students[0] / "progress.csv").read_text().splitlines()[0].split(",")
   # The difference to the teacher, and what is said of any training of the task.
   assert {"Loss/behavior", "Episode_Reward/lift", "Episode_Metrics/held"} <= set(header)
@@ -96,14 +96,14 @@ def test_teacher_and_student_are_judged_on_the_same_starts_and_goals() -> None:
     (["Mjlab-Lift-Cube-Yam-Depth", "--teacher", "x"], "--teacher applies to distillation tasks only"),
   ],
 )
-def test_what_cannot_be_taught_is_said_in_one_line(
+def test_a_wrong_teacher_is_refused_in_one_line(
   words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   monkeypatch.chdir(tmp_path)
   assert cli.train([*words, "--device", "cpu"]) != 0
-  told = capsys.readouterr().err
-  assert message in told
-  assert told.count("\n") == 1
+  printed = capsys.readouterr().err
+  assert message in printed
+  assert printed.count("\n") == 1
   assert list(tmp_path.iterdir()) == []
 
 

@@ -22,7 +22,7 @@ def test_records_hold_the_joints_that_move_within_their_ranges(name: str) -> Non
     assert np.ptp(values) > 0.05
 
 
-def test_a_short_record_of_the_yam_tells_a_stiffness_and_a_mass() -> None:
+def test_a_short_record_of_the_yam_determines_a_stiffness_and_a_mass() -> None:
   yam = identify_known.ROBOTS["yam"]
   short = dataclasses.replace(yam, factors={"stiffness:joint2": 0.8, "body_mass:link_4": 1.5})
   found = identify_known.found_in(short, [identify_known.sine_record(short, 0, 1.5)], IdentifyCfg(window=0.12))

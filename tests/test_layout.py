@@ -189,5 +189,5 @@ def test_root_readme_python_blocks_run() -> None:
 
 @pytest.mark.parametrize("document", [ROOT, *MEMBERS], ids=lambda folder: folder.name)
 def test_readme_installs_from_the_clone(document: Path) -> None:
-  # On the public index, our names belong to nobody or to other projects.
+  # On the public index, these names are free or belong to other projects.
   assert not re.search(r"pip install ['\"]?mjlab", (document / "README.md").read_text(encoding="utf-8"))

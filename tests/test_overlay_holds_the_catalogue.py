@@ -77,7 +77,7 @@ def test_what_was_fitted_is_in_the_model_with_the_overlay(name: str, tmp_path: P
   assert has_changed
 
 
-def test_a_value_that_the_model_would_not_have_is_refused(tmp_path: Path) -> None:
+def test_a_value_that_cannot_act_is_refused(tmp_path: Path) -> None:
   body = '<body name="a"><geom name="g" size=".1"/></body>'
   framed = f'<mujoco><worldbody><frame pos="1 0 0">{body}</frame></worldbody></mujoco>'
   path = tmp_path / "a.json"

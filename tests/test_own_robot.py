@@ -33,7 +33,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Generator[ModuleType]:
 
 
 @pytest.mark.parametrize("name", ["walk", "walk_rough", "wave", "lift"])
-def test_a_robot_of_ones_own_trains_in_every_family(program: ModuleType, name: str) -> None:
+def test_a_new_robot_trains_in_every_family(program: ModuleType, name: str) -> None:
   mjlab.register_task(f"Own-{name}", getattr(program, name))
   words = ["--env.scene.num-envs", "4", "--agent.num-steps-per-env", "4", "--agent.max-iterations", "2"]
   if name == "walk_rough":

@@ -134,7 +134,7 @@ PUCK = """<mujoco><worldbody><body name="puck">
 def test_a_planar_puck_of_a_scene_moves_as_if_recompiled(
   engine: Literal["native", "warp"], cfg: FieldRandomizer
 ) -> None:
-  """For every field that a body compiled as simple would ignore; scenes compile no body so, whoever adds it."""
+  """Covers each field that a body compiled as simple would ignore; scenes compile no body as simple."""
   scene = Scene(SceneCfg(num_envs=2, spec_fn=lambda spec: spec.worldbody.add_frame().attach_body(puck().body("puck"))))
   sim = Simulation(2, scene.spec, SimulationCfg(engine=engine, integrator=None, num_threads=1), "cpu")
   term = RandomizeField(cfg, sim, generator=torch.Generator().manual_seed(0))
@@ -306,7 +306,7 @@ def test_on_a_gpu_everything_is_randomised_inside_a_recorded_step_without_a_wait
       torch.cuda.set_sync_debug_mode("default")
     now = [term.values() for term in terms]
     constant -= {n for n, a, b in zip(TOGETHER, drawn, now, strict=True) if not torch.equal(a[mask], b[mask])}
-  # A replay draws anew, in the masked worlds alone.
+  # A replay draws again, in the masked worlds only.
   assert not constant
   for field, value in before.items():
     rows = ~mask if sim.is_expanded(field) else slice(None)

@@ -130,7 +130,7 @@ def test_a_range_of_another_form_is_refused() -> None:
 
 
 def test_the_script_refuses_an_unknown_member_in_one_line() -> None:
-  command = [sys.executable, ROOT / "tools/release.py", "nobody", "minor"]
+  command = [sys.executable, ROOT / "tools/release.py", "unknown", "minor"]
   done = subprocess.run(command, capture_output=True, text=True, check=False)
   assert done.returncode == 1
-  assert done.stderr.startswith("error: no such member: nobody")
+  assert done.stderr.startswith("error: no such member: unknown")

@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[1]
   ],
   ids=["a test", "a thread left behind"],
 )
-def test_what_stands_still_ends_the_run_and_is_named(code: str, where: str, tmp_path: Path) -> None:
+def test_a_hanging_test_ends_the_run_and_is_named(code: str, where: str, tmp_path: Path) -> None:
   file = tmp_path / "test_still.py"
   file.write_text(code)
   settings = ["-c", ROOT / "pyproject.toml", "-p", "conftest", "-p", "no:cacheprovider"]

@@ -1,7 +1,7 @@
-"""What a user waits for at a prompt, as a table: `uv run python tools/benchmark_cli.py`.
+"""CPU time of commands at a prompt, as a table: `uv run python tools/benchmark_cli.py`.
 
 CPU seconds of the whole process (user and system, children included), in a fresh interpreter: the smallest of several
-runs, for that is the one other programs disturbed least. Counting the modules comes first and warms the disk cache.
+runs, which other programs disturbed least. Counting the modules comes first and warms the disk cache.
 """
 
 import argparse

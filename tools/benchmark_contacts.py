@@ -1,4 +1,4 @@
-"""How much of the contact and constraint buffers a trained policy needs, and whether any step overflowed.
+"""Contacts and constraint rows that a trained policy needs, and steps that overflowed their buffers.
 
   python tools/benchmark_contacts.py logs/g1_velocity/RUN --num-envs 4096 --output docs/benchmarks
 

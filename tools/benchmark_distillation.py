@@ -1,4 +1,4 @@
-"""Students of a cartpole policy that see less than it does, beside it: how far they differ, and how well they do.
+"""Students of a cartpole policy that observe less than their teacher: difference in actions, and returns.
 
   uv run python tools/benchmark_distillation.py --output docs/benchmarks/distillation_cpu
 

@@ -1,8 +1,8 @@
-"""What it costs to remember the last states of every world, as a share of an environment step.
+"""Cost of the NaN guard, which keeps the last states of every world, as a share of an environment step.
 
-Two environments of one task, with and without the NaN guard, take turns; each has its fastest round counted, which
-other work on the machine disturbs least. On a CPU the calls of the guard are also timed where they are made, which
-tells a small share better than a difference does. Prints a row for docs/benchmarks.
+Two environments of one task, with and without the NaN guard, take turns. The fastest round of each counts, because
+other programs disturb it least. On a CPU the calls of the guard are also timed alone, which is more precise for a small
+share than a difference. Prints a row for docs/benchmarks.
 
   uv run python tools/benchmark_nan_guard.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 1 64 1024
 """

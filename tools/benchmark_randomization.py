@@ -1,10 +1,10 @@
-"""Cost of randomising, event by event, and what full randomisation leaves of the step rate.
+"""Cost of each randomisation event, and the step rate with full randomisation.
 
   python tools/benchmark_randomization.py Mjlab-Velocity-Flat-Unitree-G1 --num-envs 4096 --output docs/benchmarks
 
-An event is timed by itself: drawing and writing for all worlds, the same with what must be derived anew, and that with
+An event is timed by itself: drawing and writing for all worlds, the same with the derived quantities, and that with
 one world in a hundred in the mask; on a GPU all are recorded and replayed, as inside a step. Step rates are of the
-task without any randomisation, and with all of it drawn anew at every reset, taken by turns in one process; random
+task without any randomisation, and with all of it drawn at every reset, taken by turns in one process; random
 actions throughout, so that worlds keep ending.
 """
 

@@ -1,4 +1,4 @@
-"""Time of an environment step, how much of it is physics, and whether a step waits for the GPU.
+"""Time of an environment step, its share of physics, and its host syncs.
 
   python tools/benchmark_step.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 4096 --device cuda --output docs/benchmarks
 

@@ -1,10 +1,9 @@
-"""What watching costs: `uv run python tools/benchmark_viewer.py [--device cpu] [--worlds 4096] [--markdown FILE]`.
+"""Cost of the viewer: `uv run python tools/benchmark_viewer.py [--device cpu] [--worlds 4096] [--markdown FILE]`.
 
-Times a picture for the browser by worlds shown and worlds there are, and what a step costs while nobody looks, while
-somebody does, and while a film is made. A client is a headless Chromium on the same machine, where there is one: on a
-CPU it competes with the simulation for the cores, which is not counted as a cost of the viewer elsewhere. Another
-client reads all that a page is sent, in a process of its own, and draws nothing, as if the page were on another
-machine.
+Times a picture for the browser by worlds shown and worlds simulated, and a step with no client, with a client, and
+while a film is made. The first client is a headless Chromium on the same machine, if there is one; on a CPU it competes
+with the simulation for the cores. The second client reads all messages in a separate process and draws nothing, like
+a page on another machine.
 """
 
 import argparse
@@ -77,7 +76,7 @@ def picture(viewer: BrowserViewer, taker: SnapshotTaker, worlds: Sequence[int], 
 
 
 def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
-  """Time of a picture [ms] by worlds shown: the copy, and what the page is told."""
+  """Time of a picture [ms] by worlds shown: the copy, and the messages to the page."""
   found = {}
   for drawn in DRAWN:
     if drawn <= env.num_envs:

@@ -1,4 +1,4 @@
-"""What seeing costs: environment steps and images per second, and the share of a step that rendering takes.
+"""Cost of cameras: environment steps and images per second, and the share of rendering in a step.
 
   python tools/benchmark_vision.py Mjlab-Lift-Cube-Yam-Depth --num-envs 512 4096 --device cuda --output docs/benchmarks
 
@@ -43,7 +43,7 @@ def main() -> None:
     lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
     lines += ["| " + " | ".join(str(value) for value in row.values()) + " |" for row in rows]
     path = args.output / f"vision_{args.device.split(':')[0]}.md"
-    path.write_text(heading("What seeing costs", args.device) + "\n\n" + "\n".join(lines) + "\n")
+    path.write_text(heading("Cost of cameras", args.device) + "\n\n" + "\n".join(lines) + "\n")
     print(f"wrote {path}")
 
 

@@ -1,4 +1,4 @@
-"""Replayed steps against eager ones: from one state, with the same actions and draws, how far do they drift apart?
+"""Drift between replayed and eager steps from one state, with the same actions and draws.
 
   python tools/check_capture.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 4096 --device cuda --output docs/benchmarks
 

@@ -2,7 +2,7 @@ r"""Learning with pyramidal against elliptic friction cones: a table of trained 
 
   python tools/compare_cones.py logs/go1_velocity/A logs/go1_velocity/B ... --output docs/benchmarks/cones.md
 
-A run is a directory of `train`; its manifest tells its cones and its seed. Rewards and times come from its
+A run is a directory of `train`; its manifest has its cones and its seed. Rewards and times come from its
 `progress.csv`. Falls, slip and successes are measured in MuJoCo C (the native engine) with elliptic cones and an
 impratio of 10, whatever the run was trained with, on the scenarios of `evaluate`. All runs are of one task.
 """

@@ -24,7 +24,7 @@ CENTER = 0.038  # m, middle of the sole in front of the ankle
 STANCE, NARROW = 0.1185, 0.085  # m, half the distance of the feet; ankles roll too little to step far from a wide one
 STANDING, LOW = 0.735, 0.69  # m, height of the pelvis; legs reach sideways only where it is low
 LEAN = 0.02  # share of the way between the feet by which the centre of mass stays inside of the one it is over
-# What matters how much to the inverse kinematics: feet, centre of mass, pelvis, joints of arms and waist, of legs.
+# Weights of the inverse kinematics: feet, centre of mass, pelvis, joints of arms and waist, of legs.
 FOOT, MASS, HEIGHT, UPRIGHT, ARMS, LEGS = 1e3, 1e2, 1e2, 1.0, 1e2, 1e-2
 DAMPING = 1e-6
 

@@ -2,7 +2,7 @@
 
 Takes the actor out of a checkpoint, made on a GPU with `uv run train Mjlab-Velocity-Flat-Unitree-Go1
 --agent.max-iterations 460`, or with `uv run train Mjlab-Lift-Cube-Yam` for 1332 iterations. Measures it without noise
-and pushes: 64 worlds for 20 s, in which nobody may fall, or one goal in each of 64, of which 80 % must be reached and
+and pushes: 64 worlds for 20 s, in which no robot may fall, or one goal in each of 64, of which 80 % must be reached and
 held. It is kept only if it does, with a manifest of the environment it was measured in. To be run again whenever
 observations, actions or configuration classes of its task change; what is kept may itself be given.
 """
@@ -28,7 +28,7 @@ DEMOS = {
 WORLDS, SECONDS = 64, 20.0
 # A short training has seen the first stage of commands only, and falls now and then at its corners.
 RANGES = VelocityRanges(lin_vel_x=(-0.5, 1.0), lin_vel_y=(-0.4, 0.4), ang_vel_z=(-0.5, 0.5))
-# Walking: nobody falls, and nobody misses the command by more than this on average [m/s].
+# Walking: no robot falls or misses the command by more than this on average [m/s].
 MOST_ERROR = 0.2
 LEAST_SUCCESS = 0.8
 

@@ -1,4 +1,4 @@
-"""Figures of the source that say how much there is to read: `uv run python tools/measure_source.py [--list FIGURE]`.
+"""Size and structure of the source: `uv run python tools/measure_source.py [--list FIGURE]`.
 
 Prints a Markdown table with one row per member. `docs/source.md` is its committed output.
 """

@@ -1,4 +1,4 @@
-"""Takes a newcomer's way in an empty environment: `python tools/newcomer.py [--python 3.13]`.
+"""Follow the first pages of the documentation in an empty environment: `python tools/newcomer.py [--python 3.13]`.
 
 Builds wheels of all members, installs them into a fresh environment as `uv tool install` does, with HOME in an empty
 folder, and types what docs/start and the first three tutorials show: files as they stand there, commands without
@@ -62,7 +62,7 @@ class Trial:
     """Run a command to its end."""
     started = time.monotonic()
     done = subprocess.run(words, cwd=self.place, env=self.variables, capture_output=True, text=True, timeout=limit)
-    self.tell(words, done.returncode, time.monotonic() - started, done.stdout + done.stderr)
+    self.report(words, done.returncode, time.monotonic() - started, done.stdout + done.stderr)
 
   def watch(self, words: list[str]) -> None:
     """Run a command that serves a page until the page answers, then interrupt it."""
@@ -82,9 +82,9 @@ class Trial:
       seconds = time.monotonic() - started
       process.terminate()
       process.wait(60)
-    self.tell(words, 0 if answered else 1, seconds, log.read_text(errors="replace"))
+    self.report(words, 0 if answered else 1, seconds, log.read_text(errors="replace"))
 
-  def tell(self, words: list[str], code: int, seconds: float, said: str) -> None:
+  def report(self, words: list[str], code: int, seconds: float, said: str) -> None:
     """Print the outcome of a command, with its last lines if it failed."""
     print(f"{'ok    ' if code == 0 else 'FAILED'} {seconds:6.1f} s  {shlex.join(words)[:110]}", flush=True)
     if code:

@@ -1,4 +1,4 @@
-"""Where a training on motion clips began its episodes, over time, and how often they were followed to their end.
+"""Starts of episodes of a training on motion clips, over time, and the share of episodes that reached the end.
 
   python tools/plot_sampling.py logs/g1_tracking/RUN --output docs/benchmarks/g1_sampling_gpu
 

@@ -1,4 +1,4 @@
-"""How long each stage of an environment step takes, and how much of it is physics.
+"""Time of each stage of an environment step, and the share of physics.
 
   python tools/profile_stages.py Mjlab-Velocity-Flat-Unitree-Go1 --num-envs 4096 --device cuda --output docs/benchmarks
 

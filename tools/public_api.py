@@ -1,7 +1,7 @@
 """Public API of the members, as text: `uv run python tools/public_api.py [--check] [--write] [MEMBER ...]`.
 
 `api.txt` of a member lists its public API at its last release. `--check` fails if the API has changed since then and
-the member's changelog has no Unreleased entry. A release writes the list anew; `--write` does so without a release.
+the member's changelog has no Unreleased entry. A release rewrites the list; `--write` does so without a release.
 """
 
 import argparse
