@@ -237,6 +237,7 @@ VARIANTS = {
   "grid_with_levels": dataclasses.replace(all_types()["random_grid"], levels=4),
   "curved_slope": dataclasses.replace(all_types()["slope_up"], curved=True),
   "fixed_squares": dataclasses.replace(all_types()["discrete_obstacles"], mode="fixed", square=True),
+  "beams_wider_than_the_platform": dataclasses.replace(all_types()["narrow_beams"], beam_width=(2.0, 0.8)),
   "steps_of_noise": dataclasses.replace(all_types()["random_rough"], step=0.02, spacing=0.3),
   **{f"{name}_to_the_rim": dataclasses.replace(cfg, border=0.0) for name, cfg in all_types().items() if name != "flat"},
 }

@@ -14,7 +14,6 @@ from mjlab_terrain.colors import as_pixels, color_of, picture_of
 from mjlab_terrain.presets import apply_settings
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.view.picture import plot
-from mjlab_terrain.view.triangles import triangles
 
 
 def test_the_example_drops_its_spheres(capsys: pytest.CaptureFixture[str]) -> None:
@@ -74,21 +73,26 @@ def test_every_setting_of_a_type_has_a_control_of_its_kind() -> None:
 
 
 def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
+  pytest.importorskip("viser")
+  from mjlab_terrain.view.page import ground_mesh
+
   cfg = TerrainGridCfg(types={"up": PyramidStairsCfg(), "flat": FlatCfg()}, rows=2, border_width=0.0)
-  vertices, faces, colors = triangles(cfg.tiles(), cfg.color)
-  assert vertices.shape == colors.shape
-  assert vertices[:, 2].max() == pytest.approx(1.2)
-  a, b, c = (vertices[faces[:, k]] for k in range(3))
+  mesh = ground_mesh(cfg.tiles(), cfg.color)
+  assert mesh.bounds[1, 2] == pytest.approx(1.2)
   # The volume under closed, outward triangles is positive, and for the flat column known.
-  volume = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0
-  assert volume > 4 * 64.0
+  assert mesh.volume > 4 * 64.0
+  heights = np.random.default_rng(0).uniform(0.0, 1.0, (5, 7))
+  field = ground_mesh(TerrainGridCfg(types={"map": HeightMapCfg(source=heights)}, rows=1).tiles(), "height")
+  np.testing.assert_allclose(field.vertices[:, 2], heights.ravel())
+  assert (field.face_normals[:, 2] > 0.0).all()
+  assert field.area_faces @ field.face_normals[:, 2] == pytest.approx(64.0)
 
 
 def test_the_picture_of_a_height_field_is_a_png_with_its_colors() -> None:
   image = pytest.importorskip("PIL.Image")
   heights = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
   field = HeightField(center=np.zeros(3), half=(0.5, 0.5), bottom=-3.0, heights=heights)
-  read = np.asarray(image.open(io.BytesIO(picture_of(field, "height", 0))))
+  read = np.asarray(image.open(io.BytesIO(picture_of(field, "height"))))
   pixels = as_pixels(color_of("height", 0, heights))
   # First line at the far end of y, x to the right.
   np.testing.assert_array_equal(read, pixels.transpose(1, 0, 2)[::-1])

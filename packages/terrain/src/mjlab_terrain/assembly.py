@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from mjlab_terrain.colors import GroundColor, color_of, picture_of
-from mjlab_terrain.solids import GROUND_DEPTH, Box, HeightField, Solid, box_between
+from mjlab_terrain.solids import GROUND_DEPTH, HeightField, Solid, box_between
 from mjlab_terrain.terrain import Terrain
 from mjlab_terrain.tile import Tile
 
@@ -47,13 +47,12 @@ def add_tiles(
   solids = gather(tiles, border)
   names = tuple(f"{name}_{index}" for index in range(len(solids)))
   body = new_body(spec, name, names)
-  for geom_name, (solid, kind) in zip(names, solids, strict=True):
+  for geom_name, solid in zip(names, solids, strict=True):
+    rgba = color_of(color, solid.kind, np.array(solid.center[2]))
     if isinstance(solid, HeightField):
-      _add_material(spec, geom_name, picture_of(solid, color, kind))
-      look: dict[str, Any] = {"material": geom_name, "rgba": (1.0, 1.0, 1.0, 1.0)}
-    else:
-      look = {"rgba": (*color_of(color, kind, np.array(solid.center[2])), 1.0)}
-    add_geom(body, geom_name, friction, **_shape(spec, geom_name, solid), **look)
+      _add_material(spec, geom_name, picture_of(solid, color))
+      rgba = np.ones(3)
+    add_geom(body, geom_name, friction, rgba=(*rgba, 1.0), **_shape(spec, geom_name, solid))
   if light:
     add_light(body, height=10.0, direction=(0.3, 0.2, -1.0))
   rows, columns = np.add(tiles[-1].place, 1)
@@ -70,40 +69,36 @@ def add_tiles(
   )
 
 
-def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[tuple[Solid, int]]:
-  """Return all solids in the world frame with their type; boxes that are level with each other become one.
+def gather(tiles: Sequence[Tile], border: Sequence[Solid] = ()) -> list[Solid]:
+  """Return all solids in the world frame; boxes that are level with each other become one.
 
   If a pit reaches the rim of its tile, the ground around it becomes deeper, so that it has no hollow below it.
   """
   rim = min(tile.lowest_points[1] for tile in tiles)
   bottom = rim - GROUND_DEPTH if rim < 0.0 else np.inf
-  solids = [(_deepened(solid, bottom), 0) for solid in border]
+  solids = [replace(solid, bottom=min(solid.bottom, bottom)) for solid in border]
   for tile in tiles:
     for solid in tile.solids:
-      lowered = _deepened(solid, bottom) if solid.bottom <= tile.lowest_points[0] else solid
-      solids.append((lowered.moved(tile.center), tile.kind))
-  plain = [(solid, kind) for solid, kind in solids if isinstance(solid, Box) and solid.is_plain]
-  others = [(solid, kind) for solid, kind in solids if not (isinstance(solid, Box) and solid.is_plain)]
-  return [*merge_boxes(plain), *others]
+      depth = min(solid.bottom, bottom) if solid.bottom <= tile.lowest_points[0] else solid.bottom
+      solids.append(replace(solid, center=solid.center + tile.center, bottom=depth))
+  plain = merge_boxes([solid for solid in solids if solid.is_plain])
+  return [*plain, *(solid for solid in solids if not solid.is_plain)]
 
 
-def _deepened(solid: Solid, bottom: float) -> Solid:
-  return replace(solid, bottom=min(solid.bottom, bottom))
-
-
-def merge_boxes(boxes: Sequence[tuple[Box, int]]) -> list[tuple[Box, int]]:
+def merge_boxes(boxes: Sequence[Solid]) -> Sequence[Solid]:
   """Join plain boxes of one type that share a whole side and the same top and bottom, first along x, then along y."""
   for axis in (0, 1):
-    merged: dict[tuple[int, ...], tuple[Box, int]] = {}
-    for box, kind in sorted(boxes, key=lambda item: item[0].low[axis]):
+    merged: dict[tuple[int, ...], Solid] = {}
+    for box in sorted(boxes, key=lambda box: box.low[axis]):
       # Corners of neighbouring tiles agree but for rounding.
       low, high = ([round(1e6 * at) for at in corner.tolist()] for corner in (box.low, box.high))
       start, end = low.pop(axis), high.pop(axis)
       # Keys have the end of a box, to be found by the box that starts there.
-      before, _ = merged.pop((start, kind, *low, *high), (box, kind))
-      merged.setdefault((end, kind, *low, *high), (box_between(before.low, box.high), kind))
+      before = merged.pop((start, box.kind, *low, *high), box)
+      joined = box_between(*zip(before.low, box.high, strict=True), kind=box.kind)
+      merged.setdefault((end, box.kind, *low, *high), joined)
     boxes = list(merged.values())
-  return list(boxes)
+  return boxes
 
 
 def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoco.MjsBody:
@@ -112,12 +107,11 @@ def new_body(spec: mujoco.MjSpec, name: str, geom_names: Sequence[str]) -> mujoc
   Raises:
     ValueError: the model already has an element of such a name; it is unchanged.
   """
-  taken = next((f"geom named '{geom}'" for geom in geom_names if spec.geom(geom)), None)
-  if spec.body(name):
-    taken = f"body named '{name}'"
+  taken = [f"body named '{name}'"] if spec.body(name) else []
+  taken += [f"geom named '{geom}'" for geom in geom_names if spec.geom(geom)]
   if taken:
     again = "Give the terrain another name, or add it once."
-    raise ValueError(f"terrain '{name}': the model '{spec.modelname}' already has a {taken}. {again}")
+    raise ValueError(f"terrain '{name}': the model '{spec.modelname}' already has a {taken[0]}. {again}")
   return spec.worldbody.add_body(name=name)
 
 
@@ -152,7 +146,7 @@ def _shape(spec: mujoco.MjSpec, name: str, solid: Solid) -> dict[str, Any]:
       # MuJoCo counts rows along y.
       userdata=((solid.heights - low) / (high - low)).T.ravel().tolist(),
     )
-    return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": name, "pos": (x, y, top + low)}
+    return {"type": mujoco.mjtGeom.mjGEOM_HFIELD, "hfieldname": name, "material": name, "pos": (x, y, top + low)}
   if any(solid.slope):
     spec.add_mesh(name=name, uservert=(solid.corners - solid.center).ravel())
     return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name, "pos": solid.center}

@@ -81,14 +81,14 @@ def _problem(value: Any, default: Any, rule: dict[str, Any]) -> str:
   if whole and not isinstance(values[0], int | np.integer):
     return f"must be a whole number, got {value!r}"
   least, most = rule["least"], rule["most"]
-  if not all(math.isfinite(v) or v in (-most, most) for v in values):
+  if any(map(math.isnan, values)):
     return f"must be finite, got {value!r}"
   possible = tuple((int if whole else float)(min(max(v, least), most)) for v in values)
   if possible != values:
     bounds = f"at least {least:g}" if math.isinf(most) else f"between {least:g} and {most:g}"
     return f"{value!r} must be {bounds}; {possible if is_tuple else possible[0]} would work"
   order = rule.get("order")
-  ordered = sorted(values, reverse=order == "fall with difficulty")
-  if order and list(values) != ordered:
-    return f"{value!r} is the wrong way round: it must {order}; {tuple(ordered)} would work"
+  ordered = tuple(sorted(values, reverse=order == "fall with difficulty"))
+  if order and values != ordered:
+    return f"{value!r} is the wrong way round: it must {order}; {ordered} would work"
   return ""

@@ -47,10 +47,10 @@ def as_pixels(colors: Floats) -> NDArray[np.uint8]:
   return np.round(255.0 * np.clip(colors, 0.0, 1.0)).astype(np.uint8)
 
 
-def picture_of(field: HeightField, color: GroundColor, kind: int) -> bytes:
-  """Return a PNG file with the colors of a height field of this type, seen from above with x to the right."""
+def picture_of(field: HeightField, color: GroundColor) -> bytes:
+  """Return a PNG file with the colors of a height field, seen from above with x to the right."""
   rows = [np.linspace(0, n - 1, min(n, _PICTURE)).round().astype(np.int64) for n in field.heights.shape]
-  colors = color_of(color, kind, field.center[2] + field.heights[np.ix_(*rows)])
+  colors = color_of(color, field.kind, field.center[2] + field.heights[np.ix_(*rows)])
   # The first row of a picture is at the far end of y.
   return _png(as_pixels(colors).transpose(1, 0, 2)[::-1])
 

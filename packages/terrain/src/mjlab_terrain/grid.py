@@ -14,7 +14,7 @@ from mjlab_terrain.checked_fields import check_fields, choice, drawn, number, re
 from mjlab_terrain.colors import GroundColor
 from mjlab_terrain.patches import FlatPatchCfg
 from mjlab_terrain.presets import walking_types
-from mjlab_terrain.solids import GROUND_DEPTH, MIN_THICKNESS, Solid
+from mjlab_terrain.solids import GROUND_DEPTH, Solid
 from mjlab_terrain.terrain import Terrain, apportion
 from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import TileCfg, tile_rng
@@ -78,11 +78,8 @@ class TerrainGridCfg:
         `spec` is unchanged.
     """
     tiles = self.tiles()
-    rows, columns = np.add(tiles[-1].place, 1)
-    # Types of the columns of a curriculum.
-    kinds = np.array([tile.kind for tile in tiles[:columns]])
-    is_curriculum = self.layout == "curriculum"
-    shares = (self._shares() / np.bincount(kinds))[kinds] if is_curriculum else np.full(columns, 1.0 / columns)
+    kinds, _, shares = self._plan()
+    rows, columns = kinds.shape
     patches = {}
     for k, (name, cfg) in enumerate(self.flat_patches.items()):
       found = [tile.center + cfg.find(tile, tile_rng(self.seed, *tile.place, _PATCHES, k)) for tile in tiles]
@@ -107,13 +104,13 @@ class TerrainGridCfg:
       ValueError: a setting is out of its range; the message says what would work.
     """
     self.check()
-    kinds, difficulty = self._plan()
+    kinds, difficulty, _ = self._plan()
     cfgs = list(self._used().items())
     tiles = []
     for place in np.ndindex(*kinds.shape):
-      x, y = (place - 0.5 * (np.array(kinds.shape) - 1)) * self.tile_size
+      center = np.append((place - 0.5 * (np.array(kinds.shape) - 1)) * self.tile_size, 0.0)
       kind, rng = int(kinds[place]), tile_rng(self.seed, *place)
-      tile = Tile(self.tile_size, float(difficulty[place]), rng, place=place, kind=kind, center=(x, y))
+      tile = Tile(self.tile_size, float(difficulty[place]), rng, place=place, kind=kind, center=center)
       name, cfg = cfgs[kind]
       tiles.append(cfg.built(name, tile))
     return tiles
@@ -125,8 +122,6 @@ class TerrainGridCfg:
       ValueError: a setting is out of its range; the message names it and what would work.
     """
     check_fields(self, self.name)
-    if 0.0 < self.border_width < MIN_THICKNESS:
-      refuse(self, self.name, f"border_width must be 0 or at least {MIN_THICKNESS} m, got {self.border_width}")
     if isinstance(self.color, str) and self.color not in ("height", "type"):
       refuse(self, self.name, f"color must be 'height', 'type' or three numbers in [0, 1], got {self.color!r}")
     for name, cfg in self.types.items():
@@ -143,25 +138,23 @@ class TerrainGridCfg:
   def _used(self) -> dict[str, TileCfg]:
     return {name: cfg for name, cfg in self.types.items() if cfg.share > 0.0}
 
-  def _shares(self) -> NDArray[np.float64]:
-    shares = np.array([cfg.share for cfg in self._used().values()], dtype=np.float64)
-    return shares / shares.sum()
-
-  def _plan(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the type and difficulty of each tile, both (rows, columns)."""
+  def _plan(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the type and difficulty of each tile, both (rows, columns), and the share of worlds of each column."""
     low, high = self.difficulty
-    shares = self._shares()
+    shares = np.array([cfg.share for cfg in self._used().values()], dtype=np.float64)
+    shares /= shares.sum()
     if self.layout == "random":
       rng = tile_rng(self.seed, _LAYOUT)
-      shape = self.rows, self.columns or self.rows
-      return rng.choice(len(shares), size=shape, p=shares), rng.uniform(low, high, shape)
+      rows, columns = self.rows, self.columns or self.rows
+      kinds = rng.choice(len(shares), size=(rows, columns), p=shares)
+      return kinds, rng.uniform(low, high, (rows, columns)), np.full(columns, 1.0 / columns)
     spare = 0 if self.columns is None else self.columns - len(shares)
     # The claim of a type beyond its first column.
     owed = np.maximum(shares * (len(shares) + spare) - 1.0, 0.0)
     counts = 1 + apportion(owed / owed.sum() if owed.any() else shares, spare)
-    columns = np.repeat(np.arange(len(shares)), counts)
-    difficulty = np.linspace(low, high, self.rows)
-    return np.tile(columns, (self.rows, 1)), np.repeat(difficulty[:, None], len(columns), axis=1)
+    kinds = np.tile(np.repeat(np.arange(len(shares)), counts), (self.rows, 1))
+    difficulty = np.broadcast_to(np.linspace(low, high, self.rows)[:, None], kinds.shape)
+    return kinds, difficulty, np.repeat(shares / counts, counts)
 
   def _border(self, rows: int, columns: int) -> list[Solid]:
     """Return the level ground around the tiles."""

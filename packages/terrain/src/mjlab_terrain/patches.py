@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mjlab_terrain.checked_fields import check_fields, drawn, number, refuse
-from mjlab_terrain.surface import over_disc, surface
+from mjlab_terrain.surface import num_steps, over_disc, surface
 from mjlab_terrain.tile import Tile
 
 EVERYWHERE = (-math.inf, math.inf)
@@ -56,28 +56,23 @@ class FlatPatchCfg:
 
     If a tile has fewer places, they repeat; if it has none, all are at the most level place.
     """
-    # An even number of steps, so that the middle of the tile is among the points.
-    axes = [np.linspace(-0.5 * s, 0.5 * s, 2 * max(math.ceil(0.5 * s / self.resolution), 1) + 1) for s in tile.size]
-    z = surface(tile.solids, *axes)
-    # The grid is square enough that the finer of its two spacings covers the radius in both.
-    spacing = min(a[1] - a[0] for a in axes)
-    highest, lowest = (over_disc(z, self.radius, spacing, reduce) for reduce in (np.maximum, np.minimum))
-    difference = highest - lowest
-    inside = []
-    for at, (low, high), extent in zip(axes, (self.x_range, self.y_range), tile.size, strict=True):
+    spacing, around = self.resolution, num_steps(self.radius, self.resolution)
+    axes = []
+    for (low, high), extent in zip((self.x_range, self.y_range), tile.size, strict=True):
       reach = 0.5 * extent - self.radius
-      low, high = max(-reach, low), min(reach, high)
-      there = (low - 1e-9 <= at) & (at <= high + 1e-9)
-      # If no point of the grid is in the range, the nearest is.
-      there[np.argmin(np.abs(at - 0.5 * (low + high)))] |= not there.any()
-      inside.append(there)
-    allowed = np.logical_and.outer(*inside)
-    good = allowed & (difference <= self.max_height_difference) & (self.z_range[0] <= z) & (z <= self.z_range[1])
-    found = np.argwhere(good)
-    if len(found):
-      chosen = found[rng.permutation(len(found))[np.arange(self.count) % len(found)]]
-    else:
-      flattest = np.where(allowed, difference, np.inf)
-      chosen = np.repeat([np.unravel_index(np.argmin(flattest), z.shape)], self.count, axis=0)
-    i, j = chosen.T
-    return np.stack((axes[0][i], axes[1][j], z[i, j]), axis=-1)
+      # Centres are multiples of the resolution; if none is in the range, the nearest one.
+      ends = np.clip((low, high), -reach, reach) / spacing
+      first, last = math.ceil(ends[0] - 1e-9), math.floor(ends[1] + 1e-9)
+      if first > last:
+        first = last = round(ends.mean())
+      axes.append(spacing * np.arange(first - around, last + around + 1))
+    heights = surface(tile.solids, *axes)
+    highest, lowest = (over_disc(heights, self.radius, spacing, reduce) for reduce in (np.maximum, np.minimum))
+    difference = highest - lowest
+    x, y = (axis[around : len(axis) - around] for axis in axes)
+    z = heights[around : around + len(x), around : around + len(y)]
+    found = np.argwhere((difference <= self.max_height_difference) & (self.z_range[0] <= z) & (z <= self.z_range[1]))
+    if not len(found):
+      found = np.transpose(np.unravel_index([difference.argmin()], z.shape))
+    i, j = found[rng.permutation(len(found))[np.arange(self.count) % len(found)]].T
+    return np.stack((x[i], y[j], z[i, j]), axis=-1)

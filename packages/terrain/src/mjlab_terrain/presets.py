@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -64,9 +65,9 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
   for assignment in assignments:
     target, _, text = assignment.partition("=")
     type_name, _, setting = target.rpartition(".")
-    if type_name and type_name not in types:
+    meant = [name for name in types if type_name in ("", name)]
+    if not meant:
       raise ValueError(f"'{assignment}': there is no type '{type_name}' here. There are {', '.join(types)}.")
-    meant = [type_name] if type_name else list(types)
     known = sorted({setting for name in meant for setting in vars(types[name])})
     if setting not in known:
       raise ValueError(f"'{assignment}': there is no setting '{setting}'. There are {', '.join(known)}.")
@@ -79,19 +80,14 @@ def apply_settings(types: dict[str, TileCfg], assignments: Sequence[str]) -> Non
 def _read(text: str, present: Any, assignment: str) -> Any:
   """Return the value of `text`, of the same kind as the present value."""
   try:
-    if isinstance(present, bool):
-      return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
-    if isinstance(present, str):
-      return text
-    wanted = present if isinstance(present, tuple) else (present,)
-    values = [_number(part) for part, _ in zip(text.split(","), wanted, strict=True)]
-  except (KeyError, ValueError):
-    raise ValueError(f"'{assignment}': the value must be like {present!r}, without brackets.") from None
-  return tuple(values) if isinstance(present, tuple) else values[0]
+    value = ast.literal_eval(text)
+  except (SyntaxError, ValueError):
+    value = {"true": True, "yes": True, "false": False, "no": False}.get(text.lower(), text)
+  # A setting that is None takes a number.
+  if _kind(value) != _kind(0 if present is None else present):
+    raise ValueError(f"'{assignment}': the value must be like {present!r}, without brackets.")
+  return value
 
 
-def _number(text: str) -> float:
-  try:
-    return int(text)
-  except ValueError:
-    return float(text)
+def _kind(value: object) -> object:
+  return next((kind for kind in (bool, int | float, str, tuple) if isinstance(value, kind)), None)

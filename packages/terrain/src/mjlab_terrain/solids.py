@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 MIN_THICKNESS = 0.05
 """Least extent of a geom in any direction [m]. Contact solvers miss thinner geoms."""
@@ -36,11 +36,18 @@ class SolidBase(ABC):
   """Half of its extent along its own x and y [m]."""
   bottom: float
   """Height of its bottom [m]."""
+  kind: int = 0
+  """Index of the type of its tile."""
 
   @cached_property
   def reach(self) -> Floats:
     """Half of its extent along x and y of the tile, (2,) [m]."""
     return np.array(self.half)
+
+  @property
+  def is_plain(self) -> bool:
+    """True if it is a box with sides along the axes of the tile and a level top."""
+    return False
 
   @property
   @abstractmethod
@@ -74,10 +81,6 @@ class SolidBase(ABC):
     edges = np.array((self.low[axis], self.high[axis]))
     return np.concatenate((edges - 1e-6, edges + 1e-6))
 
-  def moved(self, by: Floats) -> Self:
-    """Return the solid moved by (3,) [m]."""
-    return replace(self, center=self.center + by, bottom=self.bottom + float(by[2]))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Box(SolidBase):
@@ -90,7 +93,6 @@ class Box(SolidBase):
 
   @property
   def is_plain(self) -> bool:
-    """True if its sides are along the axes of the tile, and its top is level."""
     return not self.yaw and not any(self.slope)
 
   @property
@@ -124,11 +126,10 @@ class Box(SolidBase):
     return np.where(inside, self.center[2] + self.slope[0] * along + self.slope[1] * across, -np.inf)
 
 
-def box_between(low: ArrayLike, high: ArrayLike, *, slope: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0) -> Box:
-  """Return a box between its lowest and highest corner, (3,) [m]; the z of `high` is that of the middle of the top."""
-  (x, y, bottom), (far_x, far_y, top) = np.asarray(low).tolist(), np.asarray(high).tolist()
-  center, half = np.array((0.5 * (x + far_x), 0.5 * (y + far_y), top)), (0.5 * (far_x - x), 0.5 * (far_y - y))
-  return Box(center=center, half=half, bottom=bottom, slope=slope, yaw=yaw)
+def box_between(x: Interval, y: Interval, z: Interval, **fields: Any) -> Box:
+  """Return a box between bounds [m], with other fields of a `Box`; z is the bottom and the middle of the top."""
+  center, half = np.array((0.5 * sum(x), 0.5 * sum(y), z[1])), (0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0]))
+  return Box(center=center, half=half, bottom=z[0], **fields)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
@@ -40,14 +41,17 @@ def lowest_points(solids: Sequence[Solid], size: tuple[float, float]) -> tuple[f
 
 
 def over_disc(z: Floats, radius: float, spacing: float, reduce: np.ufunc) -> Floats:
-  """Return `reduce` (`np.maximum` or `np.minimum`) over the points of a grid within `radius` of each, (nx, ny).
+  """Return `reduce` (`np.maximum` or `np.minimum`) over the points of a grid within `radius` of each.
 
-  Points of the grid are `spacing` apart. Those beyond the rim of `z` do not count.
+  Points of the grid are `spacing` apart. The result lacks `num_steps(radius, spacing)` points on each side of `z`.
   """
-  reach = int(radius / spacing + 1e-9)
-  padded = np.pad(z, reach, constant_values=-np.inf if reduce is np.maximum else np.inf)
-  out = z.copy()
-  for i, j in np.ndindex(2 * reach + 1, 2 * reach + 1):
-    if np.hypot(i - reach, j - reach) * spacing <= radius + 1e-9:
-      reduce(out, padded[i : i + z.shape[0], j : j + z.shape[1]], out=out)
-  return out
+  reach = num_steps(radius, spacing)
+  nx, ny = np.subtract(z.shape, 2 * reach)
+  steps = np.arange(-reach, reach + 1)
+  near = np.argwhere(np.hypot(*np.meshgrid(steps, steps)) * spacing <= radius + 1e-9)
+  return functools.reduce(reduce, (z[i : i + nx, j : j + ny] for i, j in near))
+
+
+def num_steps(length: float, spacing: float) -> int:
+  """Return the number of whole steps in a length."""
+  return int(length / spacing + 1e-9)

@@ -2,45 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from mjlab_terrain.solids import FLAT, GROUND_DEPTH, MIN_THICKNESS, Floats, HeightField, Interval, Solid, box_between
-from mjlab_terrain.surface import lowest_points, over_disc, surface
+from mjlab_terrain.surface import lowest_points, num_steps, over_disc, surface
 
 
+@dataclass(eq=False)
 class Tile:
   """Tile of a terrain.
 
   Its frame has its origin at the tile's centre, at the height of the rim where tiles meet, and the axes of the world.
   """
 
-  def __init__(
-    self,
-    size: tuple[float, float],
-    difficulty: float,
-    rng: np.random.Generator,
-    *,
-    place: tuple[int, int] = (0, 0),
-    kind: int = 0,
-    center: tuple[float, float] = (0.0, 0.0),
-  ) -> None:
-    self.size = size
-    """Extent along x and y [m]."""
-    self.difficulty = difficulty
-    """From 0, easiest, to 1, hardest."""
-    self.rng = rng
-    """Source of all randomness. Draw the same numbers at any difficulty and scale them: then features grow with it."""
-    self.place = place
-    """Row and column in its grid."""
-    self.kind = kind
-    """Index of its type in its grid."""
-    self.center = np.array((*center, 0.0))
-    """Origin of its frame, world frame, (3,) [m]."""
-    self.spawn: tuple[float, float] = (0.0, 0.0)
-    """Spawn point [m]; its height is that of the surface."""
-    self.solids: list[Solid] = []
+  size: tuple[float, float]
+  """Extent along x and y [m]."""
+  difficulty: float
+  """From 0, easiest, to 1, hardest."""
+  rng: np.random.Generator
+  """Source of all randomness. Draw the same numbers at any difficulty and scale them: then features grow with it."""
+  place: tuple[int, int] = (0, 0)
+  """Row and column in its grid."""
+  kind: int = 0
+  """Index of its type in its grid."""
+  center: Floats = field(default_factory=lambda: np.zeros(3))
+  """Origin of its frame, world frame, (3,) [m]."""
+  spawn: tuple[float, float] = (0.0, 0.0)
+  """Spawn point [m]; its height is that of the surface."""
+  solids: list[Solid] = field(default_factory=list)
+  """Ground of the tile, in its frame."""
 
   @property
   def origin(self) -> Floats:
@@ -75,7 +68,7 @@ class Tile:
         f"a {type(solid).__name__} of {size} m, {solid.thickness:.3g} m thick, is not finite "
         f"or thinner than {MIN_THICKNESS} m."
       )
-    self.solids.append(solid)
+    self.solids.append(replace(solid, kind=self.kind))
 
   def box(
     self, x: Interval, y: Interval, z: Interval, *, slope: tuple[float, float] = (0.0, 0.0), yaw: float = 0.0
@@ -89,8 +82,7 @@ class Tile:
       slope: Rise of the top along x and y [1].
       yaw: Angle of the box about the vertical through its middle [rad].
     """
-    low, high = zip(x, y, z, strict=True)
-    self.add(box_between(low, high, slope=slope, yaw=yaw))
+    self.add(box_between(x, y, z, slope=slope, yaw=yaw))
 
   def block(self, border: float, z: Interval) -> None:
     """Add a box over the whole tile except a border of this width [m]."""
@@ -151,11 +143,12 @@ class Tile:
     The search ends `search` [m] from the centre along x and y. If there is no such place, take the best one.
     """
     spacing = 0.05
-    counts = [int(min(search + radius, 0.5 * extent) / spacing) for extent in self.size]
+    around = num_steps(radius, spacing)
+    counts = [around + int(min(search, 0.5 * extent) / spacing) for extent in self.size]
     axes = [spacing * np.arange(-count, count + 1, dtype=np.float64) for count in counts]
     z = surface(self.solids, *axes)
-    rise = over_disc(z, radius, spacing, np.maximum) - z
-    x, y = np.meshgrid(*axes, indexing="ij")
-    rise[(np.abs(x) > search) | (np.abs(y) > search)] = np.inf
+    inside = slice(around, -around)
+    rise = over_disc(z, radius, spacing, np.maximum) - z[inside, inside]
+    x, y = np.meshgrid(*(axis[inside] for axis in axes), indexing="ij")
     best = np.lexsort((np.hypot(x, y).ravel(), np.round(rise, 3).ravel()))[0]
     self.spawn = float(x.flat[best]), float(y.flat[best])

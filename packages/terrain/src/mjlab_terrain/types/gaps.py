@@ -80,10 +80,6 @@ class NarrowBeamsCfg(_PitCfg):
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)
-    if self.beam_width[0] > self.platform:
-      self.refuse(
-        name, f"beam_width {self.beam_width[0]:g} m is wider than the platform; at most {self.platform:g} m would work"
-      )
     # Difficulty has no effect if even the narrowest beams touch each other all the way.
     room, half = 0.5 * min(size) - self.border - MIN_THICKNESS, 0.5 * self.beam_width[1]
     most = int(math.pi / math.asin(half / room)) if half < room else 2
@@ -93,8 +89,8 @@ class NarrowBeamsCfg(_PitCfg):
   def build(self, tile: Tile) -> None:
     half = 0.5 * tile.scaled(self.beam_width)
     inner, outer = 0.5 * np.array(tile.inner(self.border)), 0.5 * np.array(tile.size)
-    # Neighbouring beams part at this distance from the centre.
-    apart = half / math.sin(math.pi / self.num_beams) if self.num_beams > 2 else 0.0
+    # Neighbouring beams part at this distance from the centre; a beam is no wider than the platform.
+    apart = half / math.sin(math.pi / max(self.num_beams, 2))
     platform = max(0.5 * self.platform, apart)
     if platform > inner.min() - MIN_THICKNESS:
       tile.slab()
@@ -133,19 +129,15 @@ class NestedRingsCfg(_PitCfg):
 
   def check(self, name: str, size: tuple[float, float]) -> None:
     super().check(name, size)
-    room = 0.5 * (min(size) - 2.0 * self.border - self.platform)
-    if self._num_rings(size) < 1:
-      need = max(w + 2.0 * g for w, g in zip(self.ring_width, self.gap, strict=True))
+    # Room that is missing for one ring and two gaps, at either end of the difficulty.
+    short = max(width + 2.0 * gap for width, gap in zip(self.ring_width, self.gap, strict=True)) - self._room(size)
+    if short > 1e-9:
       self.refuse(
-        name,
-        f"a ring and two gaps need {need:g} m, but there are {room:g} m between border and platform; "
-        f"make the tile at least {min(size) + 2.0 * (need - room):g} m",
+        name, f"no ring fits between border and platform; make the tile at least {min(size) + 2.0 * short:g} m"
       )
 
-  def _num_rings(self, size: tuple[float, float]) -> int:
-    room = 0.5 * (min(size) - 2.0 * self.border - self.platform)
-    ends = zip(self.ring_width, self.gap, strict=True)
-    return min(self.num_rings, *(int((room - gap) / (width + gap) + 1e-9) for width, gap in ends))
+  def _room(self, size: tuple[float, float]) -> float:
+    return 0.5 * (min(size) - self.platform) - self.border
 
   def build(self, tile: Tile) -> None:
     width, gap = tile.scaled(self.ring_width), tile.scaled(self.gap)
@@ -153,8 +145,11 @@ class NestedRingsCfg(_PitCfg):
       tile.slab()
       return
     tile.pit(self.pit_depth, self.border)
+    # As many rings at any difficulty.
+    ends = zip(self.ring_width, self.gap, strict=True)
+    fits = min(int((self._room(tile.size) - g) / (w + g) + 1e-9) for w, g in ends)
     border = self.border + gap
-    for _ in range(self._num_rings(tile.size)):
+    for _ in range(min(self.num_rings, fits)):
       tile.ring(border, border + width, (-self.pit_depth, 0.0))
       border += width + gap
     tile.block(border, (-self.pit_depth, 0.0))

@@ -44,14 +44,11 @@ class PyramidSlopeCfg(_HeightsCfg):
   """Edge of the platform [m]."""
 
   def heights(self, tile: Tile, x: Floats, y: Floats) -> Floats:
-    inner = tile.inner(self.border)
-    reach = 0.5 * min(inner)
+    reach = 0.5 * np.array(tile.inner(self.border))
 
     def height(x: Floats, y: Floats) -> Floats:
-      shares = [np.clip(1.0 - 2.0 * np.abs(p) / s, 0.0, 1.0) for p, s in zip((x, y), inner, strict=True)]
-      if self.curved:
-        return reach * shares[0] * shares[1]
-      return np.minimum(np.minimum(0.5 * inner[0] * shares[0], 0.5 * inner[1] * shares[1]), reach)
+      to_rim_x, to_rim_y = (np.maximum(r - np.abs(p), 0.0) for r, p in zip(reach, (x, y), strict=True))
+      return to_rim_x * to_rim_y / reach.max() if self.curved else np.minimum(to_rim_x, to_rim_y)
 
     edge = np.array(0.5 * self.platform)
     slope = tile.scaled(self.slope)
@@ -78,10 +75,10 @@ class RandomRoughCfg(_HeightsCfg):
     if self.step is not None:
       # Levels are equally likely, those at both ends too.
       levels = int(amplitude / self.step + 1e-9)
-      drawn_heights = np.clip(np.floor((unit + 1.0) * (levels + 0.5)) - levels, -levels, levels) * self.step
+      coarse = np.clip(np.floor((unit + 1.0) * (levels + 0.5)) - levels, -levels, levels) * self.step
     else:
-      drawn_heights = unit * amplitude
-    smooth = _interpolated(_interpolated(drawn_heights, x.size).T, y.size).T
+      coarse = unit * amplitude
+    smooth = _interpolated(_interpolated(coarse, x.size).T, y.size).T
     return smooth * tile.fade(x, y, self.border, self.blend)
 
 

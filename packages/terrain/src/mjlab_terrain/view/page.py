@@ -6,22 +6,50 @@ import contextlib
 import dataclasses
 import io
 import logging
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
 import numpy as np
 
+from mjlab_terrain.assembly import gather
 from mjlab_terrain.checked_fields import rule_of
+from mjlab_terrain.colors import GroundColor, as_pixels, color_of
 from mjlab_terrain.grid import TerrainGridCfg
 from mjlab_terrain.presets import all_types, walking_types
+from mjlab_terrain.solids import HeightField
+from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import TileCfg
-from mjlab_terrain.view.triangles import triangles
 
 # Extras, which may be missing where types are checked.
 trimesh: Any = import_module("trimesh")
 viser: Any = import_module("viser")
 
 _GIVEN = "as given"
+
+
+def ground_mesh(tiles: Sequence[Tile], color: GroundColor) -> Any:
+  """Return the ground as one `trimesh.Trimesh` in the world frame, with colors of vertices."""
+  sides = trimesh.creation.box().faces
+  vertices, faces, colors, count = [], [], [], 0
+  for solid in gather(tiles):
+    if isinstance(solid, HeightField):
+      nx, ny = solid.heights.shape
+      x, y = (np.linspace(-half, half, num) for half, num in zip(solid.half, (nx, ny), strict=True))
+      points = solid.center + np.stack((*np.meshgrid(x, y, indexing="ij"), solid.heights), -1).reshape(-1, 3)
+      near = (np.arange(nx - 1)[:, None] * ny + np.arange(ny - 1)).ravel()
+      triangles = trimesh.geometry.triangulate_quads(near[:, None] + (0, ny, ny + 1, 1))
+      z = points[:, 2]
+    else:
+      # Vertices are not shared between sides, so that edges stay sharp. Corners have the order of trimesh's.
+      points = solid.corners[sides].reshape(-1, 3)
+      triangles = np.arange(36).reshape(-1, 3)
+      z = np.full(36, solid.center[2])
+    vertices.append(points)
+    faces.append(triangles + count)
+    colors.append(as_pixels(color_of(color, solid.kind, z)))
+    count += len(points)
+  return trimesh.Trimesh(*map(np.concatenate, (vertices, faces)), vertex_colors=np.concatenate(colors), process=False)
 
 
 class Page:
@@ -102,8 +130,7 @@ class Page:
     except ValueError as error:
       self._status.content = f"**Cannot be built.** {error}"
       return
-    vertices, faces, colors = triangles(tiles, cfg.color)
-    mesh = trimesh.Trimesh(vertices, faces, vertex_colors=colors, process=False)
+    mesh = ground_mesh(tiles, cfg.color)
     origins = np.array([tile.origin for tile in tiles])
     scene, red = self._server.scene, np.tile((210, 40, 60), (len(tiles), 1))
     scene.reset()
@@ -116,7 +143,7 @@ class Page:
         above = origin + np.array([0.0, 0.0, 0.6])
         scene.add_label(f"/names/{tile.place}", names[tile.kind], position=above, anchor="bottom-center")
     num_solids = sum(len(tile.solids) for tile in tiles)
-    self._status.content = f"{len(tiles)} tiles of {num_solids} solids, {len(faces)} triangles"
+    self._status.content = f"{len(tiles)} tiles of {num_solids} solids, {len(mesh.faces)} triangles"
 
 
 def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
