@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab.cli._clip_preview import Preview
+from mjlab.cli._clip_preview import clip_replay, preview_model
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Motion, load_motion, resample, shipped_clips
 from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
@@ -159,7 +159,7 @@ def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chro
     root_quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(201, 1),
     joint_pos=lift[:, None],
   )
-  with Shown(Preview(robot).replay(motion), 0, chromium) as shown:
+  with Shown(clip_replay(preview_model(robot), motion), 0, chromium) as shown:
     page = shown.page
     eventually(lambda: red(page).sum() > 1000, "the flag is not seen")
     shown.pause()

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_motions import Kinematics, Motion, check_quality, save_motion, to_ground
-from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec
+from mjlab_robots import SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec
 
 RATE = 50.0  # Hz
 FEET = ("left_ankle_roll_link", "right_ankle_roll_link")
@@ -153,7 +153,7 @@ class InverseKinematics:
     legs = [any(part in name for part in ("hip", "knee", "ankle")) for name in kinematics.joint_names]
     self.pull = np.sqrt(np.where(legs, LEGS, ARMS))
     low, high = model.jnt_range[kinematics.joint_ids].T
-    middle, reach = 0.5 * (low + high), 0.499 * G1_SOFT_JOINT_POS_LIMIT_FACTOR * (high - low)
+    middle, reach = 0.5 * (low + high), 0.499 * SOFT_JOINT_POS_LIMIT_FACTOR * (high - low)
     self.low, self.high = middle - reach, middle + reach
 
   def solve(self, score: Score, time: float) -> np.ndarray:

@@ -18,7 +18,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from mjlab.cli._clip_preview import Preview
+from mjlab.cli._clip_preview import clip_replay, preview_model
 from mjlab.nan_replay import NanReplay
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import load_motion, shipped_clips
@@ -151,7 +151,7 @@ def terrain(browser: Browser) -> None:
 def clip(browser: Browser) -> None:
   """Photograph the page of `convert-motion --preview`."""
   motion = load_motion(shipped_clips()["squat_and_wave"])
-  replay = Preview(g1_spec()).replay(motion)
+  replay = clip_replay(preview_model(g1_spec()), motion)
   playback = Playback(replay, ZeroPolicy(1, 0, replay.sim.device))
   playback.pause()
   replay.show(motion.num_frames // 3)

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab.cli import convert_motion as main
-from mjlab.cli._clip_preview import Preview
+from mjlab.cli._clip_preview import clip_replay, preview_model
 from mjlab.cli._convert_motion import robot_spec
 from mjlab_motions import Kinematics, derived_arrays, load_motion, shipped_clips
 from mjlab_viewer import BrowserViewer, SnapshotTaker
@@ -24,7 +24,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_clip_is_shown_with_every_link_where_the_motion_file_has_it() -> None:
   motion, robot = load_motion(shipped_clips()[CLIP]), robot_spec("g1")
-  replay = Preview(robot).replay(motion)
+  replay = clip_replay(preview_model(robot), motion)
   stored = derived_arrays(motion, Kinematics(robot.compile()))["body_pos_w"]
   assert replay.num_steps == motion.num_frames
   for _ in range(motion.num_frames // 2):
@@ -45,7 +45,7 @@ def test_a_robot_of_ones_own_stands_on_one_ground_and_wears_its_meshes(folder: P
       <asset><mesh name="hull" file="hull.obj"/></asset>
       <worldbody>{ground}<body name="boat"><freejoint/><geom type="mesh" mesh="hull"/></body></worldbody>
     </mujoco>""")
-  model = Preview(robot_spec("robot/robot.xml")).model
+  model = preview_model(robot_spec("robot/robot.xml"))
   kinds = [mujoco.mjtGeom(kind) for kind in model.geom_type]
   assert sorted(kind.name for kind in kinds) == ["mjGEOM_MESH", "mjGEOM_PLANE"]
 

@@ -213,7 +213,7 @@ def test_what_cannot_be_typed_is_no_flag() -> None:
 
 
 def help_of(word: str) -> str:
-  return task_help("train", "Task", (), word, lambda: help_rows(Line(env=config())))
+  return task_help("train", "Task", (), word, lambda: Line(env=config()))
 
 
 def test_help_names_choices_default_and_meaning() -> None:

@@ -6,10 +6,10 @@ import sys
 
 WORK = """
 import sys
-from mjlab.cli._progress import ProgressBar
-with ProgressBar("evaluating", 4) as bar:
+from mjlab.cli._progress import progress_bar
+with progress_bar("evaluating", 4) as show:
   for done in range(1, 4):
-    bar.show(done, f"{done} episodes")
+    show(done, f"{done} episodes")
     print("result", done)
 print("the end", file=sys.stderr)
 """

@@ -1,5 +1,6 @@
 """`train-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
 
+import contextlib
 import os
 import re
 import signal
@@ -9,7 +10,7 @@ import mjlab_pendulum
 import pytest
 import torch
 from mjlab import cli
-from mjlab.cli._progress import ProgressBar
+from mjlab.cli import _train_actuator
 from mjlab_actuators import LearnedMlpActuatorCfg
 from mjlab_envs import ManagerBasedRlEnv, mdp
 
@@ -62,11 +63,11 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
 def test_ctrl_c_writes_what_was_learned(
   records: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-  def interrupted(bar: ProgressBar, done: int, note: str) -> None:
+  def interrupted(done: float, note: str) -> None:
     if done == 2:
       os.kill(os.getpid(), signal.SIGINT)
 
-  monkeypatch.setattr(ProgressBar, "show", interrupted)
+  monkeypatch.setattr(_train_actuator, "progress_bar", lambda *_: contextlib.nullcontext(interrupted))
   assert cli.train_actuator([str(records), "--epochs", "1000000", "--hidden", "8"]) == 0
   assert "stopped (Ctrl-C) after 2 of 1000000 epochs" in capsys.readouterr().out
   assert torch.load(records.with_suffix(".pt"), weights_only=True)

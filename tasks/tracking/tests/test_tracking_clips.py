@@ -14,7 +14,7 @@ from mjlab_motions.motion import Motion
 from mjlab_motions.motion_file import load_motion
 from mjlab_motions.quality import check_quality
 from mjlab_motions.timeline import derivative
-from mjlab_robots import G1_SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec, go1_spec
+from mjlab_robots import SOFT_JOINT_POS_LIMIT_FACTOR, g1_spec, go1_spec
 
 CLIPS = sorted(Path(str(files("mjlab_motions") / "clips")).glob("*.npz"))
 DIRECTIONS = torch.stack([torch.tensor([math.cos(a), math.sin(a)]) for a in np.linspace(0, 2 * np.pi, 72)]).double()
@@ -65,7 +65,7 @@ def test_a_clip_that_ships_is_faultless(clip: Motion, robot: Kinematics) -> None
 
 def test_a_clip_that_ships_is_within_soft_limits(clip: Motion, robot: Kinematics) -> None:
   low, high = torch.from_numpy(robot.model.jnt_range[robot.joint_ids]).unbind(1)
-  inset = 0.5 * (1.0 - G1_SOFT_JOINT_POS_LIMIT_FACTOR) * (high - low)
+  inset = 0.5 * (1.0 - SOFT_JOINT_POS_LIMIT_FACTOR) * (high - low)
   joints = robot.columns_of(clip)
   assert (joints > low + inset).all()
   assert (joints < high - inset).all()

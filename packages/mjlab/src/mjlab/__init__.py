@@ -4,11 +4,12 @@
 """
 
 import os
+import sys
 from typing import TYPE_CHECKING
 
 from mjlab_core.lazy import lazy_exports
 
-from mjlab._moved import announce_moved_modules
+from mjlab._moved import MovedModules
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg
@@ -64,7 +65,8 @@ __getattr__, __dir__ = lazy_exports(
   },
 )
 
-announce_moved_modules()
+# The last finder is asked only for modules that do not exist.
+sys.meta_path.append(MovedModules)
 
 # By default torch's threads spin for a millisecond or more on cores that MuJoCo's threads or other programs need. With
 # 256 environments of the Go1 on two cores, an iteration of training takes 1.25 s with this default, 1.2 s if threads

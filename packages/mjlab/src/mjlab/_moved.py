@@ -1,8 +1,6 @@
 """Former modules of mjlab 1.x, which are separate packages now: importing one names its new place."""
 
-import sys
 from collections.abc import Sequence
-from importlib.abc import MetaPathFinder
 from typing import Any
 
 MOVED = {
@@ -30,19 +28,15 @@ MOVED = {
 """New module by former one."""
 
 
-class MovedModules(MetaPathFinder):
+class MovedModules:
   """Finder for modules that no other finder has found."""
 
-  def find_spec(self, fullname: str, path: Sequence[str] | None, target: Any = None) -> None:
+  @staticmethod
+  def find_spec(fullname: str, path: Sequence[str] | None, target: Any = None) -> None:
     """Name the new places of all modules in a package that moved; Python imports it before them."""
     del path, target
-    within = {old: new for old, new in MOVED.items() if old == fullname or old.startswith(f"{fullname}.")}
-    if within and fullname.startswith("mjlab."):
-      places = ", ".join(f"{old} is now {new}" for old, new in within.items())
-      raise ModuleNotFoundError(f"No module named {fullname!r}: {places}. See docs/migration.md.", name=fullname)
-
-
-def announce_moved_modules() -> None:
-  """Make imports of former modules name the new ones."""
-  if not any(isinstance(finder, MovedModules) for finder in sys.meta_path):
-    sys.meta_path.append(MovedModules())
+    within = [f"{old} is now {new}" for old, new in MOVED.items() if f"{old}.".startswith(f"{fullname}.")]
+    if within:
+      raise ModuleNotFoundError(
+        f"No module named {fullname!r}: {', '.join(within)}. See docs/migration.md.", name=fullname
+      )

@@ -1,7 +1,7 @@
 """Measured effect of each event: it fires once in many worlds and is compared with its config."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -19,18 +19,22 @@ _UNLIKELY = 1e-4
 
 @dataclass(kw_only=True)
 class AxisReport:
-  """One axis of one randomised field, all of its elements together."""
+  """Axis of a randomised field, or quantity that an event without distributions changed."""
 
   field: str
-  """Name of the field, and of the axis if the field has several."""
-  unit: str
-  elements: list[str]
-  operation: str
-  asked: Distribution
+  """Name of the field, and of the axis if the field has several; name of the quantity."""
+  elements: str
+  """Names of the elements that a field has the axis of; count of the numbers of a quantity."""
+  asked: str
+  """Operation and distribution; parameters of an event without distributions."""
   drawn: torch.Tensor
-  """Drawn values, finite ones only, (number of draws,)."""
+  """Drawn or written values, finite ones only, (number of values,)."""
   verdict: str
-  """Either "as asked" or the problem in capitals."""
+  """Either "as asked" or the problem in capitals; a description for an event without distributions."""
+  distribution: Distribution | None = None
+  """None for an event without distributions."""
+  label: str = ""
+  """Meaning and unit of a draw."""
 
 
 @dataclass(kw_only=True)
@@ -39,11 +43,7 @@ class EventReport:
 
   name: str
   mode: str
-  axes: list[AxisReport] = field(default_factory=list)
-  changed: dict[str, torch.Tensor] = field(default_factory=dict)
-  """Numbers that an event without distributions changed, (num_envs, count), by quantity."""
-  params: dict[str, Any] = field(default_factory=dict)
-  """Parameters of an event without distributions."""
+  axes: list[AxisReport]
 
 
 @dataclass(kw_only=True)
@@ -72,22 +72,29 @@ def inspect_events(env: "ManagerBasedRlEnv") -> list[EventReport]:
 
 def _fired(env: "ManagerBasedRlEnv", name: str, cfg: EventTermCfg) -> EventReport:
   """Fire an event and return its effect."""
-  report = EventReport(name=name, mode=cfg.mode)
   if isinstance(cfg.func, mdp.randomize):
     term = cfg.func.field
     if not FIELDS[term.cfg.field].integer:
       term.strength.fill_(1.0)
     env.event_manager.fire(name)
-    report.axes = _axes(term)
-    return report
+    return EventReport(name=name, mode=cfg.mode, axes=_axes(term))
   before = _snapshot(env)
   env.event_manager.fire(name)
-  report.params = dict(cfg.params)
+  report = EventReport(name=name, mode=cfg.mode, axes=[])
   for what, now in _snapshot(env).items():
     is_other = now != before[what] if what in before else torch.ones_like(now, dtype=torch.bool)
     kept = is_other.reshape(len(now), -1).any(0)
     if kept.any():
-      report.changed[what] = now.reshape(len(now), -1)[:, kept]
+      values = now.reshape(len(now), -1)[:, kept]
+      differs = "differs between worlds" if (values != values[:1]).any() else "same in all worlds"
+      axis = AxisReport(
+        field=what,
+        elements=str(values.shape[1]),
+        asked=_given(cfg.params),
+        drawn=values[values.isfinite()],
+        verdict=differs,
+      )
+      report.axes.append(axis)
   return report
 
 
@@ -114,25 +121,29 @@ def inspect_inertia(env: "ManagerBasedRlEnv") -> InertiaReport:
   sim = env.sim
   report = InertiaReport(masses={}, bodies={})
   fields = ("body_mass", "body_ipos", "body_inertia", "body_iquat")
-  defaults = [sim.default_field(name)[:1] for name in fields]
-  # Worlds that share a field have one row.
-  now = [sim.model[name].expand(env.num_envs, *first.shape[1:]) for name, first in zip(fields, defaults, strict=True)]
-  mass, com, moments, quat = map(torch.cat, zip(defaults, now, strict=True))
+  stacked = []
+  for name in fields:
+    compiled = sim.default_field(name)[:1]
+    # Worlds that share a field have one row.
+    stacked.append(torch.cat((compiled, sim.model[name].expand(env.num_envs, *compiled.shape[1:]))))
+  mass, com, moments, quat = stacked
   for name, entity in env.scene.entities.items():
     ids = entity.indexing.ids["body"].tolist()
     if not mass[1:, ids].any():
       continue
     report.masses[name] = mass[:, ids].sum(-1)
     for body, local in zip(ids, entity.indexing.names["body"], strict=True):
-      if any((rows[:, body] != rows[:1, body]).any() for rows in (mass, com, moments, quat)):
+      if any((rows[:, body] != rows[:1, body]).any() for rows in stacked):
         per_mass = moments[:, body] / mass[:, body, None].clamp_min(1e-12)
         report.bodies[f"{name}/{local}"] = com[:, body], per_mass, quat[:, body]
   return report
 
 
 def _axes(term: RandomizeField) -> list[AxisReport]:
-  cfg, info = term.cfg, FIELDS[term.cfg.field]
+  cfg, (first, *others) = term.cfg, term.element_names
   values, default, reports = term.values(), term.default, []
+  more = f" and {len(others)} more" if others else ""
+  meaning = {"add": "added", "scale": "factor", "absolute": "value"}[cfg.operation]
   for (name, drawn), (axis, asked) in zip(drawn_values(term).items(), term.distributions.items(), strict=True):
     columns = [i for i, c in enumerate(term.components) if c.axis == name and c.field == cfg.shown_in]
     columns = columns or list(range(values.shape[1]))
@@ -141,12 +152,12 @@ def _axes(term: RandomizeField) -> list[AxisReport]:
     reports.append(
       AxisReport(
         field=f"{cfg.field} {name}".strip(),
-        unit="1" if cfg.operation == "scale" else info.unit_of(axis),
-        elements=list(term.element_names),
-        operation=cfg.operation,
-        asked=asked,
+        elements=f"{first}{more}",
+        asked=f"{cfg.operation} {asked}",
         drawn=drawn[drawn.isfinite()],
         verdict=_verdict(sample, asked, values[:, columns], default[:, columns]),
+        distribution=asked,
+        label=f"{meaning} [{'1' if cfg.operation == 'scale' else FIELDS[cfg.field].unit_of(axis)}]",
       )
     )
   return reports
@@ -168,28 +179,18 @@ def report_text(reports: list[EventReport], inertia: InertiaReport) -> str:
   rows: list[tuple[str, ...]] = []
   for report in reports:
     lead = (report.name, report.mode)
-    if not report.axes and not report.changed:
+    if not report.axes:
       rows.append((*lead, "-", "", "", "", "", "", "NOTHING CHANGED"))
-    for what, values in report.changed.items():
-      differs = "differs between worlds" if (values != values[:1]).any() else "same in all worlds"
-      rows.append((*lead, what, str(values.shape[1]), _given(report.params), *_span(values), differs))
     for axis in report.axes:
-      more = f" and {len(axis.elements) - 1} more" if len(axis.elements) > 1 else ""
-      rows.append(
-        (*lead, axis.field, axis.elements[0] + more, f"{axis.operation} {axis.asked}", *_span(axis.drawn), axis.verdict)
-      )
+      drawn = axis.drawn.double()
+      span = [f"{x:.4g}" for x in (drawn.min(), drawn.mean(), drawn.max())] if drawn.numel() else ["-"] * 3
+      rows.append((*lead, axis.field, axis.elements, axis.asked, *span, axis.verdict))
   lines = [table(head, rows)]
   for name, masses in inertia.masses.items():
     compiled, mass = masses[0], masses[1:]
     span = f"{mass.min():.4g} to {mass.max():.4g} kg, mean {mass.mean():.4g}"
     lines.append(f"total mass of {name}: {span}; as compiled {compiled:.4g}")
   return "\n".join(lines)
-
-
-def _span(values: torch.Tensor) -> list[str]:
-  """Return least, mean and greatest of the finite values."""
-  found = values[values.isfinite()].double()
-  return [f"{x:.4g}" for x in (found.min(), found.mean(), found.max())] if found.numel() else ["-"] * 3
 
 
 def _given(params: Mapping[str, Any]) -> str:

@@ -1,7 +1,7 @@
 """Environment for viewers that replays the stored steps of diverged environments."""
 
 import numpy as np
-from mjlab_sim import NanDump
+from mjlab_sim import DivergedWorld, NanDump
 from mjlab_viewer import Replay
 
 # MuJoCo's limit for a bad state (mjMAXVAL).
@@ -21,12 +21,11 @@ class NanReplay(Replay):
   def __init__(self, dump: NanDump, *, in_mujoco_c: bool = False) -> None:
     self._worlds = dump.worlds
     steps = max(world.num_steps for world in dump.worlds) + 1
-    stored = [_states(dump, row, steps, in_mujoco_c) for row in range(len(dump.worlds))]
-    self._broken = [_broken(world) for world in stored]
-    worlds = [_shown(world) for world in stored]
+    worlds = [_states(world, steps, in_mujoco_c) for world in dump.worlds]
+    self._stored = {name: np.stack([world[name] for world in worlds], 1) for name in worlds[0]}
     super().__init__(
       dump.model,
-      {name: np.stack([world[name] for world in worlds], 1) for name in worlds[0]},
+      {name: _shown(values) for name, values in self._stored.items()},
       dump.model.opt.timestep,
       {name: np.stack([world.model_fields[name] for world in dump.worlds]) for name in dump.worlds[0].model_fields},
     )
@@ -34,13 +33,13 @@ class NanReplay(Replay):
   def note(self, world: int) -> str:
     stored = self._worlds[world]
     step = max(0, self.at - (self.num_steps - 1 - stored.num_steps))
-    when, broken = f"world {stored.index} of the run, {stored.when(step)}", self._broken[world][self.at]
+    when = f"world {stored.index} of the run, {stored.when(step)}"
+    broken = [name for name, values in self._stored.items() if not _can_show(values[self.at, world]).all()]
     return f"{when}: {', '.join(broken)} not finite or beyond 1e10" if broken else when
 
 
-def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
+def _states(world: DivergedWorld, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
   """Return the fields of MjData that a dump has of one environment, (steps, ...)."""
-  world = dump.worlds[row]
   fields = {name: np.concatenate((values, world.result[name][None])) for name, values in world.states.items()}
   if in_mujoco_c:
     fields["qpos"] = np.concatenate((fields["qpos"][:1], world.replay().qpos))
@@ -48,16 +47,13 @@ def _states(dump: NanDump, row: int, steps: int, in_mujoco_c: bool) -> dict[str,
   return {name: np.concatenate((np.repeat(values[:1], missing, 0), values)) for name, values in fields.items()}
 
 
-def _broken(fields: dict[str, np.ndarray]) -> list[list[str]]:
-  """Return for each step the fields that cannot be shown."""
-  steps = range(len(fields["time"]))
-  return [[name for name, values in fields.items() if not (np.abs(values[step]) <= _BOUND).all()] for step in steps]
+def _can_show(values: np.ndarray) -> np.ndarray:
+  return np.abs(values) <= _BOUND
 
 
-def _shown(fields: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-  """Return the fields with each number that cannot be shown replaced by the last one that can."""
-  shown = {name: values.copy() for name, values in fields.items()}
-  for values in shown.values():
-    for step, value in enumerate(values):
-      values[step] = np.where(np.abs(value) <= _BOUND, value, values[step - 1] if step else 0.0)
+def _shown(values: np.ndarray) -> np.ndarray:
+  """Return values, (steps, ...), with each number that cannot be shown replaced by the last one that can."""
+  shown = values.copy()
+  for step, value in enumerate(values):
+    shown[step] = np.where(_can_show(value), value, shown[step - 1] if step else 0.0)
   return shown

@@ -5,7 +5,6 @@ from mjlab_robots.g1 import (
   G1_ACTUATORS,
   G1_DEFAULT_HEIGHT,
   G1_DEFAULT_JOINT_POS,
-  G1_SOFT_JOINT_POS_LIMIT_FACTOR,
   g1,
   g1_spec,
 )
@@ -14,7 +13,6 @@ from mjlab_robots.go1 import (
   GO1_ACTUATORS,
   GO1_DEFAULT_HEIGHT,
   GO1_DEFAULT_JOINT_POS,
-  GO1_SOFT_JOINT_POS_LIMIT_FACTOR,
   go1,
   go1_spec,
 )
@@ -23,18 +21,17 @@ from mjlab_robots.go2 import (
   GO2_ACTUATORS,
   GO2_DEFAULT_HEIGHT,
   GO2_DEFAULT_JOINT_POS,
-  GO2_SOFT_JOINT_POS_LIMIT_FACTOR,
   go2,
   go2_spec,
 )
 from mjlab_robots.meshes import MeshMode, download_meshes, find_meshes
+from mjlab_robots.model import SOFT_JOINT_POS_LIMIT_FACTOR
 from mjlab_robots.motors import Motor
 from mjlab_robots.yam import (
   YAM_ACTION_SCALE,
   YAM_ACTUATORS,
   YAM_DEFAULT_HEIGHT,
   YAM_DEFAULT_JOINT_POS,
-  YAM_SOFT_JOINT_POS_LIMIT_FACTOR,
   yam,
   yam_spec,
 )
@@ -44,22 +41,19 @@ __all__ = [
   "G1_ACTUATORS",
   "G1_DEFAULT_HEIGHT",
   "G1_DEFAULT_JOINT_POS",
-  "G1_SOFT_JOINT_POS_LIMIT_FACTOR",
   "GO1_ACTION_SCALE",
   "GO1_ACTUATORS",
   "GO1_DEFAULT_HEIGHT",
   "GO1_DEFAULT_JOINT_POS",
-  "GO1_SOFT_JOINT_POS_LIMIT_FACTOR",
   "GO2_ACTION_SCALE",
   "GO2_ACTUATORS",
   "GO2_DEFAULT_HEIGHT",
   "GO2_DEFAULT_JOINT_POS",
-  "GO2_SOFT_JOINT_POS_LIMIT_FACTOR",
+  "SOFT_JOINT_POS_LIMIT_FACTOR",
   "YAM_ACTION_SCALE",
   "YAM_ACTUATORS",
   "YAM_DEFAULT_HEIGHT",
   "YAM_DEFAULT_JOINT_POS",
-  "YAM_SOFT_JOINT_POS_LIMIT_FACTOR",
   "MeshMode",
   "Motor",
   "download_meshes",

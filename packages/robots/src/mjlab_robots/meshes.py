@@ -62,9 +62,9 @@ def download_meshes(robot: str) -> Path:
   import mujoco_menagerie
 
   entry, cache = mujoco_menagerie.get(robot), mujoco_menagerie.Cache()
-  if not hasattr(tarfile, "data_filter") and cache.root is None and not cache.is_cached(entry):
-    raise FileError(f"meshes of {robot!r}: Python before 3.11.4 cannot unpack archives safely. {_way_out(robot)}")
   if cache.root is None and not cache.is_cached(entry):
+    if not hasattr(tarfile, "data_filter"):
+      raise FileError(f"meshes of {robot!r}: Python before 3.11.4 cannot unpack archives safely. {_way_out(robot)}")
     size = f"{(entry.download_size or 0) / 2**20:.1f} MB"
     print(f"fetching the meshes of {robot}, {size}, from {cache.base_url} into {cache.dir}", file=sys.stderr)
   try:

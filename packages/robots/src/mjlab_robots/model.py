@@ -16,6 +16,8 @@ from mjlab_robots.meshes import MeshMode, find_meshes
 
 VISUAL_GROUP = 2
 """Group of geoms that are only drawn, primitives and meshes."""
+SOFT_JOINT_POS_LIMIT_FACTOR = 0.9
+"""Share of each joint's range, about its middle, that its soft limits span."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,8 +49,6 @@ class Robot:
   """Default pose by joint pattern [rad]."""
   actuators: tuple[ActuatorCfg, ...]
   """Actuators in the order of `ctrl`."""
-  soft_joint_pos_limit_factor: float
-  """Share of each joint's range, about its middle, that its soft limits span."""
   presets: Mapping[str, tuple[CollisionCfg, ...]]
   """Contact presets by name: differences from the contact parameters in the MJCF."""
 
@@ -81,7 +81,7 @@ class Robot:
       spec_fn=spec_fn if meshes == "auto" else partial(spec_fn, meshes=meshes),
       init_state=InitialStateCfg(pos=(0.0, 0.0, self.height), joint_pos=dict(self.joint_pos)),
       articulation=EntityArticulationCfg(
-        actuators=copy.deepcopy(self.actuators), soft_joint_pos_limit_factor=self.soft_joint_pos_limit_factor
+        actuators=copy.deepcopy(self.actuators), soft_joint_pos_limit_factor=SOFT_JOINT_POS_LIMIT_FACTOR
       ),
       collisions=copy.deepcopy(self.presets[collision]),
     )

@@ -12,14 +12,14 @@ from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import field_problems
 
 from mjlab import environments
-from mjlab.cli._help import FlagRow, command_help
+from mjlab.cli._help import field_rows, help_text
 from mjlab.cli._task_help import task_help
 from mjlab.registry import list_tasks, load_task
 
 if TYPE_CHECKING:
   from mjlab_rl import RunManifest, TaskCfg
 
-_HELP = ("-h", "--help")
+_HELP = {"-h", "--help"}
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -48,82 +48,116 @@ class PageArguments(CommonArguments):
   """Port of the page; the next free one if it is taken."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+Loaded = tuple["TaskCfg[Any]", list[str], list[str]]
+"""Task, all words after its id, and the flags among them that set values of the arguments."""
+
+
+@dataclasses.dataclass(frozen=True)
 class TaskLine:
   """Command line with a task."""
 
   name: str
   """Task id."""
+  arguments: Any
+  """Dataclass of the flags."""
   task: "TaskCfg[Any]"
   given: list[str]
   """All words after the task."""
   flags: list[str]
   """Flags among them that set values of the arguments."""
 
+  def defaults(self, **parts: Any) -> Any:
+    """Return the arguments without flags, with the parts of the task except for those given."""
+    own = {"env": self.task.env, "agent": self.task.agent, "eval": self.task.evaluator, **parts}
+    return self.arguments(
+      **{field.name: own[field.name] for field in dataclasses.fields(self.arguments) if field.type is Any}
+    )
 
-def _load(name: str, given: list[str]) -> TaskLine:
-  return TaskLine(name=name, task=load_task(name), given=given, flags=given)
+  def parse(self, **parts: Any) -> Any:
+    """Return the arguments with the flags set; `parts` are defaults other than those of the task."""
+    return parse_flags(self.defaults(**parts), self.flags)
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+def _load(name: str, given: list[str]) -> Loaded:
+  return load_task(name), given, given
+
+
+def parse_flags(arguments: Any, flags: list[str]) -> Any:
+  """Return the arguments with `flags` set.
+
+  Raises:
+    UsageError: A flag does not exist, or does not take its value.
+  """
+  if flags:
+    # tyro is heavy.
+    from mjlab.cli._flags import parse
+
+    arguments = parse(arguments, flags)
+  for name, _, rule in (problem.partition(" ") for problem in field_problems(arguments)):
+    raise UsageError(f"--{name.replace('_', '-')} {rule}")
+  return arguments
+
+
+@dataclasses.dataclass(frozen=True)
 class CommandLine:
-  """Form of a command: its words, its flags and its help."""
+  """Form of a command: its words, its flags and its help. It decorates the function that does the work."""
 
   name: str
-  words: str = "TASK"
+  words: str
   """Words before the flags, as the help shows them: "TASK", "FILE", "CLIP [MORE ...]", "[KEYWORD]" or ""."""
-  purpose: str
-  """Description, for the help."""
   arguments: Any
   """Dataclass of the flags; a field of type Any is a part of a task."""
   notes: str = ""
   """Text below the flags, for the help."""
-  load: Callable[[str, list[str]], TaskLine] = _load
-  """Function of a task id and the words after it that loads the task."""
+  load: Callable[[str, list[str]], Loaded] = _load
+  """Function of a task id and the words after it."""
 
-  def command(self, action: Callable[[Any, list[str]], int]) -> Callable[[list[str]], int]:
+  def __call__(self, action: Callable[[Any, Any], int]) -> Callable[[list[str]], int]:
     """Return the command as a function of its words, with the exit code as result.
 
     Args:
-      action: Function of the arguments and of the words before the flags.
+      action: Function of the arguments and of the `TaskLine`; without a task, of the words before the flags. Its
+        docstring is the description in the help.
     """
 
     def run(words: list[str]) -> int:
-      if self.wants_help(words):
+      if self._has_task and words and words[0] not in _HELP:
+        return self._run_task(action, words)
+      if self.wants_help(words, action):
         return 0
       leading, flags = self.split(words)
-      return action(self.parse(flags), leading)
+      return action(parse_flags(self.arguments(), flags), leading)
 
     return run
 
-  def task_command(self, action: Callable[[Any, TaskLine], int]) -> Callable[[list[str]], int]:
-    """Return a command with a task as a function of its words; `action` gets the arguments and the task."""
+  def _run_task(self, action: Callable[[Any, TaskLine], int], words: list[str]) -> int:
+    (name,), words = self.split(words)
+    given = list(itertools.takewhile(lambda word: word not in _HELP, words))
+    if len(given) == len(words):
+      line = TaskLine(name, self.arguments, *self.load(name, given))
+      return action(line.parse(), line)
 
-    def run(words: list[str]) -> int:
-      if words and words[0] in _HELP:
-        tasks = "".join(f"\n  {name}" for name in list_tasks()) or "\n  (none is installed)"
-        notes = (
-          f"  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192.\n{self.notes}"
-        )
-        dataclasses.replace(self, notes=f"{notes}\ntasks:{tasks}").wants_help(words)
-        return 0
-      (name,), words = self.split(words)
-      given = list(itertools.takewhile(lambda word: word not in _HELP, words))
-      if len(given) < len(words):
-        searched = "-".join(words[len(given) + 1 :])
-        print(task_help(self.name, name, given, searched, lambda: self._rows(name, given), notes=self.notes), end="")
-        return 0
-      line = self.load(name, given)
-      return action(self.parse(line.flags, **self._parts(line.task)), line)
+    def build() -> Any:
+      return TaskLine(name, self.arguments, *self.load(name, given)).defaults()
 
-    return run
+    print(task_help(self.name, name, given, "-".join(words[len(given) + 1 :]), build, notes=self.notes), end="")
+    return 0
 
-  def wants_help(self, words: Sequence[str]) -> bool:
+  def wants_help(self, words: Sequence[str], action: Callable[..., int]) -> bool:
     """Print the help if it is asked for; return True then."""
-    if not any(word in _HELP for word in words):
+    if _HELP.isdisjoint(words):
       return False
-    print(command_help(self.usage, self.purpose, self.arguments, notes=self.notes), end="")
+    notes = self.notes
+    if self._has_task:
+      tasks = "".join(f"\n  {name}" for name in list_tasks()) or "\n  (none is installed)"
+      value = "  --env.PATH VALUE          Any value of the environment, e.g. --env.scene.num-envs 8192."
+      notes = f"{value}\n{notes}\ntasks:{tasks}"
+    print(help_text(self.usage, action.__doc__ or "", field_rows(self.arguments), notes=notes), end="")
     return True
+
+  @property
+  def _has_task(self) -> bool:
+    return self.words.startswith("TASK")
 
   @property
   def usage(self) -> str:
@@ -140,36 +174,6 @@ class CommandLine:
     if not leading and self.words and not self.words.startswith("["):
       raise UsageError(f"no {self.words.split()[0]} given. usage: {self.usage}")
     return leading, list(words[len(leading) :])
-
-  def parse(self, flags: list[str], **parts: Any) -> Any:
-    """Return the arguments with `flags` set.
-
-    Args:
-      flags: Words after those of the command.
-      parts: Parts of a task, the default of the flags that begin with their names.
-
-    Raises:
-      UsageError: A flag does not exist, or does not take its value.
-    """
-    arguments = self.arguments(**parts)
-    if flags:
-      # tyro is heavy.
-      from mjlab.cli._flags import parse
-
-      arguments = parse(arguments, flags)
-    for name, _, rule in (problem.partition(" ") for problem in field_problems(arguments)):
-      raise UsageError(f"--{name.replace('_', '-')} {rule}")
-    return arguments
-
-  def _parts(self, task: "TaskCfg[Any]") -> dict[str, Any]:
-    parts = {"env": task.env, "agent": task.agent, "eval": task.evaluator}
-    return {field.name: parts[field.name] for field in dataclasses.fields(self.arguments) if field.type is Any}
-
-  def _rows(self, name: str, given: list[str]) -> list[FlagRow]:
-    parts = self._parts(self.load(name, given).task)
-    from mjlab.cli._flags import help_rows
-
-    return help_rows(self.arguments(**parts))
 
 
 def take(words: Sequence[str], flag: str, **options: Any) -> tuple[Any, list[str]]:

@@ -12,12 +12,12 @@ from mjlab_core.files import reading
 from mjlab_core.names import check_name
 
 from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
-from mjlab.cli._progress import ProgressBar
+from mjlab.cli._progress import progress_bar
 from mjlab.cli._watching import browse_replay
 
 if TYPE_CHECKING:
   import mujoco
-  from mjlab_motions import Kinematics, Motion, Statement
+  from mjlab_motions import Kinematics, Motion
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -68,11 +68,10 @@ class Arguments(PageArguments):
   """Then play the clip in a browser."""
 
 
-_LINE = CommandLine(
-  name="convert-motion",
-  words="CLIP [MORE ...]",
-  purpose="Reads clips (.csv, .npz, or the name of a clip that ships), edits them, reports on them, and writes them.",
-  arguments=Arguments,
+@CommandLine(
+  "convert-motion",
+  "CLIP [MORE ...]",
+  Arguments,
   notes="""\
 exit codes: 0 written, or only reported; 1 a clip cannot be read or has errors, and is not written; 2 wrong command line
 
@@ -84,14 +83,11 @@ examples:
   convert-motion a.csv --rate 30 --robot my_robot.xml --joint-map map.json --output a.npz
 """,
 )
-
-
-@_LINE.command
 def run(wanted: Arguments, clips: list[str]) -> int:
-  """Convert clips; return the exit code."""
+  """Read clips (.csv, .npz, or the name of a clip that ships), edit them, report on them, and write them."""
   from mjlab_motions import Kinematics
 
-  from mjlab.cli._clip_preview import Preview
+  from mjlab.cli._clip_preview import clip_replay, film_clip, preview_model
 
   spec = robot_spec(wanted.robot)
   robot = Kinematics(spec.compile())
@@ -102,43 +98,64 @@ def run(wanted: Arguments, clips: list[str]) -> int:
     _targets(flag, motions, ending, wanted)
     for flag, ending in (("output", ".npz"), ("report", ".png"), ("video", ".mp4"))
   )
-  preview, has_errors = Preview(spec), False
+  model: Any = preview_model(spec) if wanted.preview or wanted.video is not None else None
+  has_errors = False
   with contextlib.ExitStack() as opened:
     renderer: Any = None
     if wanted.video is not None:
       from mjlab_viewer import OffscreenRenderer
 
       # Opened before anything is written: without OpenGL no part of the work is done.
-      renderer = opened.enter_context(OffscreenRenderer(preview.model))
-    bar = opened.enter_context(ProgressBar("converting", len(motions)))
+      renderer = opened.enter_context(OffscreenRenderer(model))
+    show = opened.enter_context(progress_bar("converting", len(motions)))
     for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
-      bar.show(index, motion.name)
+      show(index, motion.name)
       has_errors |= not _write(motion, robot, target, picture, wanted)
       if film is not None:
-        preview.film(motion, film, renderer, lambda share, done=index: bar.show(done + share, "filming"))
+        replay = clip_replay(model, motion)
+        film_clip(replay, motion.rate, film, renderer, lambda share, done=index: show(done + share, "filming"))
         print(f"filmed {film}")
       print()
   if wanted.preview:
-    browse_replay(preview.replay(motions[0]), host=wanted.host, port=wanted.port, label=motions[0].name)
+    browse_replay(clip_replay(model, motions[0]), host=wanted.host, port=wanted.port, label=motions[0].name)
   return int(has_errors)
 
 
 def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Motion]":
   """Return the edited clips."""
-  from mjlab_motions import concatenate, read_motion
+  from mjlab_motions import Statement, concatenate, crop, mirror, read_motion, resample, smooth, to_ground
+  from mjlab_motions.clips import read_json
 
-  stated_facts = _statement(wanted)
+  example = '{"robot joint": "column" or a number, ...}'
+  stated_facts = Statement(
+    rate=wanted.rate,
+    quaternion=wanted.quaternion,
+    joint_names=_names(wanted.joint_names),
+    body_names=_names(wanted.body_names),
+    joint_map=None if wanted.joint_map is None else read_json(wanted.joint_map, dict[str, str | float], example),
+  )
+  stated = {name: text for name in ("source", "license") if (text := getattr(wanted, name)) is not None}
   motions: list[Motion] = []
-  with ProgressBar("reading", len(clips)) as bar:
+  with progress_bar("reading", len(clips)) as show:
     for clip in clips:
-      motion = read_motion(_found(clip), robot, stated_facts)
-      with as_usage():
-        motions.append(_edited(motion, robot, wanted))
-      bar.show(len(motions), motions[-1].name)
+      motions.append(read_motion(_found(clip), robot, stated_facts))
+      show(len(motions), motions[-1].name)
   with as_usage():
+    if wanted.crop is not None:
+      motions = [crop(motion, *wanted.crop) for motion in motions]
+    if wanted.output_rate is not None:
+      motions = [resample(motion, wanted.output_rate) for motion in motions]
+    if wanted.mirror:
+      motions = [mirror(motion, robot) for motion in motions]
     if wanted.concatenate is not None:
       motions = [concatenate(motions, blend=wanted.concatenate)]
-    return [_finished(motion, robot, wanted) for motion in motions]
+    if wanted.smooth is not None:
+      motions = [smooth(motion, wanted.smooth) for motion in motions]
+    if wanted.ground:
+      motions = [to_ground(motion, robot) for motion in motions]
+  if stated:
+    motions = [motion.changed(f"{' and '.join(stated)} stated", **stated) for motion in motions]
+  return motions
 
 
 def _write(motion: "Motion", robot: "Kinematics", target: Path | None, picture: Path | None, wanted: Arguments) -> bool:
@@ -180,20 +197,6 @@ def robot_spec(name: str) -> "mujoco.MjSpec":
   return spec
 
 
-def _statement(wanted: Arguments) -> "Statement":
-  from mjlab_motions import Statement
-  from mjlab_motions.clips import read_json
-
-  example = '{"robot joint": "column" or a number, ...}'
-  return Statement(
-    rate=wanted.rate,
-    quaternion=wanted.quaternion,
-    joint_names=_names(wanted.joint_names),
-    body_names=_names(wanted.body_names),
-    joint_map=None if wanted.joint_map is None else read_json(wanted.joint_map, dict[str, str | float], example),
-  )
-
-
 def _names(text: str | None) -> tuple[str, ...] | None:
   """Return names given as a,b,c or in a text file."""
   from mjlab_motions.clips import read_text
@@ -210,29 +213,6 @@ def _found(clip: str) -> Path:
 
   path, shipped = Path(clip), shipped_clips()
   return path if path.is_file() or path.suffix else shipped[check_name("clip", clip, shipped)]
-
-
-def _edited(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Motion":
-  """Return a clip with the edits that come before clips are joined."""
-  from mjlab_motions import crop, mirror, resample
-
-  if wanted.crop is not None:
-    motion = crop(motion, *wanted.crop)
-  if wanted.output_rate is not None:
-    motion = resample(motion, wanted.output_rate)
-  return mirror(motion, robot) if wanted.mirror else motion
-
-
-def _finished(motion: "Motion", robot: "Kinematics", wanted: Arguments) -> "Motion":
-  """Return a clip with the edits that come after clips are joined."""
-  from mjlab_motions import smooth, to_ground
-
-  if wanted.smooth is not None:
-    motion = smooth(motion, wanted.smooth)
-  if wanted.ground:
-    motion = to_ground(motion, robot)
-  stated = {name: text for name in ("source", "license") if (text := getattr(wanted, name)) is not None}
-  return motion.changed(f"{' and '.join(stated)} stated", **stated) if stated else motion
 
 
 def _targets(flag: str, motions: "Sequence[Motion]", ending: str, wanted: Arguments) -> list[Path | None]:

@@ -19,15 +19,6 @@ class Arguments:
   """Policy to show; None: the first of those that ship."""
 
 
-_LINE = CommandLine(
-  name="demo",
-  words="",
-  purpose=(
-    "Shows a robot that walks or follows a clip, or an arm that lifts a cube, in the browser. The control `Manual` "
-    "gives commands and moves the goal. Nothing is downloaded."
-  ),
-  arguments=Arguments,
-)
 _NOTES = """\
 All flags of `play TASK` work too, such as:
   --port 8080        Port of the page; the next free one if it is taken.
@@ -39,9 +30,14 @@ policies that ship: """
 
 
 def run(words: list[str]) -> int:
-  """Show the policy; return the exit code."""
+  """Show a trained robot in the browser.
+
+  It walks or follows a clip, or is an arm that lifts a cube. The control `Manual` gives commands and moves the goal.
+  Nothing is downloaded.
+  """
   policies = shipped()
-  if dataclasses.replace(_LINE, notes=_NOTES + ", ".join(policies)).wants_help(words):
+  form = CommandLine("demo", "", Arguments, notes=_NOTES + ", ".join(policies))
+  if form.wants_help(words, run):
     return 0
   name, flags = take(words, "--task")
   name = next(iter(policies)) if name is None else check_name("demo", name, policies)

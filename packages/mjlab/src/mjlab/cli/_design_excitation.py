@@ -48,21 +48,18 @@ class Arguments(TaskArguments):
   """Seed of the draws."""
 
 
-_LINE = CommandLine(
-  name="design-excitation",
-  purpose=(
-    "Designs commands for a robot held by its base: sums of sines that stay within its limits, touch nothing, and make "
-    "the smallest singular value of a later fit large. Writes a table of commands. Ctrl-C ends the search and writes "
-    "the best commands so far; a second Ctrl-C writes nothing."
-  ),
-  arguments=Arguments,
+@CommandLine(
+  "design-excitation",
+  "TASK",
+  Arguments,
   notes="limits are those of the model: run the commands slowly and with small --share first.\n",
 )
-
-
-@_LINE.task_command
 def run(wanted: Arguments, _: TaskLine) -> int:
-  """Design commands; return the exit code."""
+  """Design commands for a robot held by its base, and write them as a table.
+
+  They are sums of sines that stay within its limits, touch nothing, and make the smallest singular value of a later
+  fit large. Ctrl-C ends the search and writes the best commands so far; a second Ctrl-C writes nothing.
+  """
   output = output_file("--output", wanted.output, ".csv", force=wanted.force)
   from mjlab_sysid import ExcitationCfg, design_excitation, parse_term, write_record
 

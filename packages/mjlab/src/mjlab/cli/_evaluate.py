@@ -10,6 +10,7 @@ from mjlab_core import AtomicWrite, UsageError
 from mjlab import environments
 from mjlab.cli._command_line import (
   CommandLine,
+  Loaded,
   TaskArguments,
   TaskLine,
   as_usage,
@@ -18,7 +19,7 @@ from mjlab.cli._command_line import (
   output_file,
 )
 from mjlab.cli._policies import PolicyArguments, find_policy
-from mjlab.cli._progress import ProgressBar
+from mjlab.cli._progress import progress_bar
 from mjlab.registry import load_task
 
 if TYPE_CHECKING:
@@ -45,19 +46,18 @@ class Arguments(PolicyArguments, TaskArguments):
   """Settings of the evaluation."""
 
 
-def _load(name: str, given: list[str]) -> TaskLine:
+def _load(name: str, given: list[str]) -> Loaded:
   """Load a task; one without an evaluator gets that of the return."""
   from mjlab_rl import ReturnEvaluation
 
   task = load_task(name)
-  task = dataclasses.replace(task, evaluator=task.evaluator or ReturnEvaluation())
-  return TaskLine(name=name, task=task, given=given, flags=given)
+  return dataclasses.replace(task, evaluator=task.evaluator or ReturnEvaluation()), given, given
 
 
-_LINE = CommandLine(
-  name="evaluate",
-  purpose="Plays fixed scenarios with a policy and prints statistics with 95 % confidence intervals.",
-  arguments=Arguments,
+@CommandLine(
+  "evaluate",
+  "TASK",
+  Arguments,
   notes="""\
   --eval.PATH VALUE         Any setting of the task's evaluation, e.g. --eval.seed 3.
 
@@ -65,15 +65,12 @@ exit codes: 0 done, 1 a threshold was missed or the command failed, 2 wrong comm
 """,
   load=_load,
 )
-
-
-@_LINE.task_command
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Evaluate; return the exit code."""
+  """Play fixed scenarios with a policy, and print statistics with 95 % confidence intervals."""
   thresholds = _thresholds(wanted.require)
   found = find_policy(wanted, line)
   # Again, with the configuration of the run as the default.
-  wanted = _LINE.parse(line.flags, eval=line.task.evaluator, env=found.parts.env)
+  wanted = line.parse(env=found.parts.env)
   folder = _folder(wanted, found.source)
   device = environments.resolve_device(wanted.device)
   cfg = _configured(wanted, line.name, found.parts.env.scene.num_envs)
@@ -132,11 +129,11 @@ def _played(wanted: Arguments, env: Any, policy: "Policy") -> "tuple[Evaluation,
   if wanted.quiet:
     return wanted.eval.run(env, policy, None), policy.num_broken
   steps = int(env.max_episode_length)
-  with ProgressBar("evaluating", steps) as bar:
+  with progress_bar("evaluating", steps) as show_progress:
 
     def show(step: int, left: int, total: int) -> None:
       # All episodes may end before their longest time.
-      bar.show(steps if left == 0 else min(step, steps), f"{total - left} of {total} episodes done")
+      show_progress(steps if left == 0 else min(step, steps), f"{total - left} of {total} episodes done")
 
     return wanted.eval.run(env, policy, show), policy.num_broken
 

@@ -40,20 +40,13 @@ class Arguments(CommonArguments):
   """Folder of all runs."""
 
 
-_LINE = CommandLine(
-  name="export",
-  words="RUN|CHECKPOINT",
-  purpose=(
-    "Writes the policy of a run, or of a checkpoint, as a bundle: a graph from sensors to joint targets, its "
-    "description, the robot's model, and a record of the training environment. mjlab-deploy verify checks it."
-  ),
-  arguments=Arguments,
-)
-
-
-@_LINE.command
+@CommandLine("export", "RUN|CHECKPOINT", Arguments)
 def run(wanted: Arguments, sources: list[str]) -> int:
-  """Export a policy; return the exit code."""
+  """Write the policy of a run, or of a checkpoint, as a bundle.
+
+  It has a graph from sensors to joint targets, its description, the robot's model, and a record of the training
+  environment. mjlab-deploy verify checks it.
+  """
   from mjlab_rl import find_checkpoint
 
   checkpoint = find_checkpoint(sources[0], log_root=Path(wanted.log_root), experiment="")

@@ -21,16 +21,9 @@ class Arguments(TaskArguments):
   """Replace an existing folder."""
 
 
-_LINE = CommandLine(
-  name="export-scene",
-  purpose="Writes a task's model with its assets; python -m mujoco.viewer opens it.",
-  arguments=Arguments,
-)
-
-
-@_LINE.task_command
+@CommandLine("export-scene", "TASK", Arguments)
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Export a scene; return the exit code."""
+  """Write a task's model with its assets; python -m mujoco.viewer opens it."""
   play = line.task.play
   cfg = play(wanted.env) if wanted.play and play is not None else wanted.env
   folder = output_folder(Path(wanted.output or f"export/{safe_name(line.name)}"), "scene.xml", force=wanted.force)

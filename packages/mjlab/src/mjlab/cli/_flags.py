@@ -112,12 +112,12 @@ def parse(config: ConfigT, words: Sequence[str]) -> ConfigT:
 
 def help_rows(config: Any) -> list[FlagRow]:
   """Return the flags of a configuration for a help text."""
-  return [FlagRow(flag.name, _choices(flag), shown(flag.value), flag.about) for flag in flags(config)]
-
-
-def _choices(flag: Flag) -> str:
-  spec = _spec(flag.kind)
-  return f"| --{flag.negative}" if flag.kind is bool else spec.metavar if spec is not None else ""
+  rows = []
+  for flag in flags(config):
+    spec = _spec(flag.kind)
+    choices = f"| --{flag.negative}" if flag.kind is bool else spec.metavar if spec is not None else ""
+    rows.append(FlagRow(flag.name, choices, shown(flag.value), flag.about))
+  return rows
 
 
 def print_completion(configs: Mapping[str, Any], *, prog: str, words: Sequence[str]) -> None:

@@ -24,21 +24,18 @@ class Arguments(TaskArguments):
   """Overwrite an existing picture."""
 
 
-_LINE = CommandLine(
-  name="inspect-dr",
-  purpose=(
-    "Fires every event of a task once in many environments. Prints the drawn values beside the requested range, the "
-    "state that each event changes, and the total mass. Capitals mark an event that does nothing, or not what was "
-    "requested."
-  ),
-  arguments=Arguments,
+@CommandLine(
+  "inspect-dr",
+  "TASK",
+  Arguments,
   notes="exit codes: 0 done, 1 a draw does nothing or does not match the request, 2 wrong command line\n",
 )
-
-
-@_LINE.task_command
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Inspect one task; return 1 if a draw does nothing, or not what was requested."""
+  """Fire every event of a task once in many environments.
+
+  Print the drawn values beside the requested range, the state that each event changes, and the total mass. Capitals
+  mark an event that does nothing, or not what was requested.
+  """
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
   from mjlab import environments
   from mjlab.inspection import inspect_events, inspect_inertia, report_text
@@ -55,4 +52,4 @@ def run(wanted: Arguments, line: TaskLine) -> int:
 
       plot_inspection(reports, inertia, line.name, picture)
       print(f"wrote {picture}")
-  return int(any(axis.verdict != "as asked" for report in reports for axis in report.axes))
+  return int(any(axis.verdict.isupper() for report in reports for axis in report.axes))

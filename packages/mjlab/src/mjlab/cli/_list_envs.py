@@ -7,17 +7,10 @@ from mjlab_core.tables import table
 from mjlab.cli._command_line import CommandLine, CommonArguments
 from mjlab.registry import task_entries
 
-_LINE = CommandLine(
-  name="list-envs",
-  words="[KEYWORD]",
-  purpose="Lists the tasks whose names contain KEYWORD, in upper or lower case, with the packages that offer them.",
-  arguments=CommonArguments,
-)
 
-
-@_LINE.command
+@CommandLine("list-envs", "[KEYWORD]", CommonArguments)
 def run(_: CommonArguments, keywords: list[str]) -> int:
-  """List the tasks; return 0 even if none is found."""
+  """List the tasks whose names contain KEYWORD, in upper or lower case, with the packages that offer them."""
   keyword = "".join(keywords)
   entries = [entry for entry in task_entries() if keyword.lower() in entry.name.lower()]
   if not entries:

@@ -32,16 +32,7 @@ class RobotArguments(CommonArguments):
   """Patterns of the bodies of feet; none: the last links that reach the ground."""
 
 
-_ROBOT = CommandLine(
-  name="new robot",
-  words="FILE",
-  purpose=(
-    "Reads a robot from an .xml (MJCF) or .urdf file and writes a Python package: its entity with servos from the file "
-    "or from motor data, collision set, feet and torso, a home pose that settled under gravity, a picture, and a test "
-    "that it stands."
-  ),
-  arguments=RobotArguments,
-)
+_ROBOT = CommandLine("new robot", "FILE", RobotArguments)
 
 
 @dataclasses.dataclass(kw_only=True)
@@ -56,20 +47,16 @@ class TaskArguments(CommonArguments):
   """Folder to write, which must not exist; None: the name."""
 
 
-_TASK = CommandLine(
-  name="new task",
-  words="NAME",
-  purpose=(
-    "Writes a Python package with a task: environment, an example of a term, learner, the entry point that offers it "
-    "to train and the other commands, a README, and a test that trains for two iterations. The package my_walk offers "
-    "the task My-Walk."
-  ),
-  arguments=TaskArguments,
-)
+_TASK = CommandLine("new task", "NAME", TaskArguments)
 
 
-@_ROBOT.command
+@_ROBOT
 def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
+  """Read a robot from an .xml (MJCF) or .urdf file, and write a Python package.
+
+  It has the robot's entity with servos from the file or from motor data, collision set, feet and torso, a home pose
+  that settled under gravity, a picture, and a test that it stands.
+  """
   file = Path(files[0])
   from mjlab.new.package import check_new_package, package_name, write_package
 
@@ -83,7 +70,7 @@ def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
       file, base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
     )
     made = robot_files(new, name)
-    write_package(folder, made, lambda root: write_model(new.spec, root / "src" / name / "model"))
+    write_package(folder, made, lambda root: write_model(new.robot.spec, root / "src" / name / "model"))
   for line in new.report():
     print(line)
   if "robot.png" in made:
@@ -92,8 +79,13 @@ def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
   return 0
 
 
-@_TASK.command
+@_TASK
 def _new_task(wanted: TaskArguments, names: list[str]) -> int:
+  """Write a Python package with a task.
+
+  It has an environment, an example of a term, a learner, the entry point that offers it to train and the other
+  commands, a README, and a test that trains for two iterations. The package my_walk offers the task My-Walk.
+  """
   (name,) = names
   from mjlab.new.package import check_new_package, write_package
   from mjlab.new.task import task_files, task_id

@@ -51,16 +51,9 @@ class Arguments(PolicyArguments, PageArguments, TaskArguments):
   """Body that the camera follows, such as robot/trunk; None: the first that can move."""
 
 
-_LINE = CommandLine(
-  name="play",
-  purpose="Shows a policy in a browser, in a native window or as a film.",
-  arguments=Arguments,
-)
-
-
-@_LINE.task_command
+@CommandLine("play", "TASK", Arguments)
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Play; return the exit code."""
+  """Show a policy in a browser, in a native window or as a film."""
   from mjlab.cli._flags import replaced
 
   viewer = _viewer(wanted)
@@ -71,7 +64,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   num_envs = _NUM_ENVS[viewer] if wanted.num_envs is None else wanted.num_envs
   cfg = replaced(environments.for_watching(found.parts), ("scene", "num_envs"), num_envs)
   # Again, with the configuration of the run as the default.
-  wanted = _LINE.parse(line.flags, env=replaced(cfg, ("seed",), wanted.seed))
+  wanted = line.parse(env=replaced(cfg, ("seed",), wanted.seed))
   cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
   count = cfg.scene.num_envs
   print(f"{line.name}: {found}, {count} environment{'s' * (count != 1)} on {device}", flush=True)

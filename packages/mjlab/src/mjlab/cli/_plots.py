@@ -1,7 +1,8 @@
 """Plots of evaluations, of inspected events and of sweeps."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from mjlab_core import AtomicWrite, matrix_from_quat
 from mjlab_dr import LogUniform
 
 if TYPE_CHECKING:
+  from mjlab_dr import Distribution
   from mjlab_rl import Evaluation
 
   from mjlab.inspection import AxisReport, EventReport, InertiaReport
@@ -34,8 +36,12 @@ _STYLE: Any = {
 }
 
 
-def _save(figure: Figure, path: Path) -> None:
-  with AtomicWrite(path) as temporary:
+@contextmanager
+def _figure(path: Path, width: float, height: float) -> Generator[Figure]:
+  """Yield a new figure in our style, and write it at the end; sizes are in inches."""
+  with rc_context(_STYLE), AtomicWrite(path) as temporary:
+    figure = Figure(figsize=(width, height))
+    yield figure
     figure.savefig(temporary)
 
 
@@ -44,96 +50,94 @@ def _with_unit(evaluation: "Evaluation", metric: str, gap: str) -> str:
   return f"{metric}{gap}[{unit}]" if unit else metric
 
 
-@rc_context(_STYLE)
 def plot_groups(evaluation: "Evaluation", path: Path) -> None:
   """Plot each metric of each group as a point with its interval."""
   groups = list(evaluation.groups)[:MOST_GROUPS]
   metrics = list(evaluation.groups["all"])
-  figure = Figure(figsize=(2.6 * len(metrics), 1.1 + 0.34 * len(groups)))
-  panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
-  rows = np.arange(len(groups))
-  for panel, metric in zip(panels, metrics, strict=True):
-    intervals = [evaluation.groups[group][metric] for group in groups]
-    mean, low, high = np.array([(interval.mean, interval.low, interval.high) for interval in intervals]).T
-    # The mean is within its percentiles but for rounding.
-    around = np.clip([mean - low, high - mean], 0.0, None)
-    panel.errorbar(mean, rows, xerr=around, fmt="o", markersize=4, capsize=2)
-    panel.set_title(_with_unit(evaluation, metric, " "))
-    panel.grid(axis="x")
-    if metric.endswith("_rate"):
-      panel.set_xlim(-0.03, 1.03)
-  panels[0].set_yticks(rows, groups)
-  panels[0].set_ylim(len(groups) - 0.5, -0.5)
-  _save(figure, path)
+  with _figure(path, 2.6 * len(metrics), 1.1 + 0.34 * len(groups)) as figure:
+    panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+    rows = np.arange(len(groups))
+    for panel, metric in zip(panels, metrics, strict=True):
+      intervals = [evaluation.groups[group][metric] for group in groups]
+      mean, low, high = np.array([(interval.mean, interval.low, interval.high) for interval in intervals]).T
+      # The mean is within its percentiles but for rounding.
+      around = np.clip([mean - low, high - mean], 0.0, None)
+      panel.errorbar(mean, rows, xerr=around, fmt="o", markersize=4, capsize=2)
+      panel.set_title(_with_unit(evaluation, metric, " "))
+      panel.grid(axis="x")
+      if metric.endswith("_rate"):
+        panel.set_xlim(-0.03, 1.03)
+    panels[0].set_yticks(rows, groups)
+    panels[0].set_ylim(len(groups) - 0.5, -0.5)
 
 
-@rc_context(_STYLE)
 def plot_curves(evaluation: "Evaluation", path: Path) -> None:
   """Plot each curve over the seconds of an episode, one line for each group."""
-  figure = Figure(figsize=(8, 1.7 * len(evaluation.curves) + 0.4))
-  panels = figure.subplots(len(evaluation.curves), sharex=True, squeeze=False)[:, 0]
-  for panel, (metric, by_group) in zip(panels, evaluation.curves.items(), strict=True):
-    shown = {name: line for name, line in by_group.items() if name != "all" or len(by_group) == 1}
-    for name, line in list(shown.items())[:MOST_GROUPS]:
-      panel.plot(np.arange(len(line)) + 0.5, line, marker=".", linewidth=1, label=name)
-    panel.set_ylabel(_with_unit(evaluation, metric, "\n"))
-    panel.grid()
-  panels[-1].set_xlabel("second of the episode")
-  if len(panels[0].get_lines()) <= 10:
-    panels[0].legend()
-  _save(figure, path)
+  with _figure(path, 8.0, 1.7 * len(evaluation.curves) + 0.4) as figure:
+    panels = figure.subplots(len(evaluation.curves), sharex=True, squeeze=False)[:, 0]
+    for panel, (metric, by_group) in zip(panels, evaluation.curves.items(), strict=True):
+      shown = [name for name in by_group if name != "all" or len(by_group) == 1]
+      for name in shown[:MOST_GROUPS]:
+        line = by_group[name]
+        panel.plot(np.arange(len(line)) + 0.5, line, marker=".", linewidth=1, label=name)
+      panel.set_ylabel(_with_unit(evaluation, metric, "\n"))
+      panel.grid()
+    panels[-1].set_xlabel("second of the episode")
+    if len(panels[0].get_lines()) <= 10:
+      panels[0].legend()
 
 
-@rc_context(_STYLE)
 def plot_inspection(reports: "list[EventReport]", inertia: "InertiaReport", title: str, path: Path) -> None:
   """Draw a panel for every axis, every entity's mass, and every body whose inertia differs; at most 40."""
-  drawings: list[Any] = [partial(_draw_axis, report=report, axis=axis) for report in reports for axis in report.axes]
-  drawings += [partial(_draw_mass, name=name, inertia=inertia) for name in inertia.masses]
-  drawings += [partial(_draw_ellipsoids, name=name, inertia=inertia) for name in inertia.bodies]
-  left_out = max(0, len(drawings) - _MOST_PANELS)
+  drawings: list[Any] = [
+    partial(_draw_axis, report=report, axis=axis, asked=axis.distribution)
+    for report in reports
+    for axis in report.axes
+    if axis.distribution is not None
+  ]
+  drawings += [partial(_draw_mass, name=name, masses=masses) for name, masses in inertia.masses.items()]
+  drawings += [partial(_draw_ellipsoids, name=name, inertias=rows) for name, rows in inertia.bodies.items()]
+  left_out = len(drawings) - _MOST_PANELS
   drawings = drawings[:_MOST_PANELS]
   columns = min(5, max(1, len(drawings)))
   lines = max(1, math.ceil(len(drawings) / columns))
-  figure = Figure(figsize=(3.4 * columns, 2.7 * lines + 0.5))
-  for number, draw in enumerate(drawings, 1):
-    draw(figure.add_subplot(lines, columns, number))
-  more = f" ({left_out} more panels left out)" if left_out else ""
-  figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
-  _save(figure, path)
+  with _figure(path, 3.4 * columns, 2.7 * lines + 0.5) as figure:
+    for number, draw in enumerate(drawings, 1):
+      draw(figure.add_subplot(lines, columns, number))
+    more = f" ({left_out} more panels left out)" if left_out > 0 else ""
+    figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
 
 
-def _draw_axis(panel: Any, report: "EventReport", axis: "AxisReport") -> None:
+def _draw_axis(panel: Any, report: "EventReport", axis: "AxisReport", asked: "Distribution") -> None:
   generator = torch.Generator().manual_seed(0)
-  asked = axis.asked.sample((20_000,), generator=generator, device=torch.device("cpu"), dtype=torch.float64).numpy()
-  drawn = axis.drawn.double().cpu().numpy()
-  meaning = {"add": "added", "scale": "factor", "absolute": "value"}[axis.operation]
-  label = f"{meaning} [{axis.unit}]"
-  if isinstance(axis.asked, LogUniform):
-    asked, drawn = np.log10(asked), np.log10(drawn[drawn > 0.0])
+  sample = asked.sample((20_000,), generator=generator, device=torch.device("cpu"), dtype=torch.float64).numpy()
+  drawn, label = axis.drawn.double().cpu().numpy(), axis.label
+  if isinstance(asked, LogUniform):
+    sample, drawn = np.log10(sample), np.log10(drawn[drawn > 0.0])
     label += ", logarithm to base 10"
-  both = np.concatenate((asked, drawn))
+  both = np.concatenate((sample, drawn))
   span = {"bins": 25, "range": (both.min(), max(both.max(), both.min() + 1e-9)), "density": True}
-  panel.hist(asked, color=_GREY, **span)
+  panel.hist(sample, color=_GREY, **span)
   if drawn.size:
     panel.hist(drawn, color=_BLUE, histtype="step", linewidth=1.5, **span)
-  color = "black" if axis.verdict == "as asked" else "#c0392b"
+  color = "#c0392b" if axis.verdict.isupper() else "black"
   panel.set_title(f"{report.name} ({report.mode})\n{axis.field}: {axis.verdict}", color=color)
   panel.set_xlabel(label)
   panel.set_yticks([])
 
 
-def _draw_mass(panel: Any, name: str, inertia: "InertiaReport") -> None:
-  compiled, *masses = inertia.masses[name].tolist()
-  panel.hist(masses, bins=40, color=_BLUE)
+def _draw_mass(panel: Any, name: str, masses: torch.Tensor) -> None:
+  compiled, *drawn = masses.tolist()
+  panel.hist(drawn, bins=40, color=_BLUE)
   panel.axvline(compiled, color="black", linestyle=":", linewidth=1)
   panel.set_title(f"total mass of {name}")
   panel.set_xlabel("[kg]")
   panel.set_yticks([])
 
 
-def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
-  """Ellipsoids of uniform density with a body's inertia, seen along y; the compiled one in black."""
-  com, moments, quat = (part[:31].double().cpu() for part in inertia.bodies[name])
+def _draw_ellipsoids(panel: Any, name: str, inertias: Iterable[torch.Tensor]) -> None:
+  """Draw ellipsoids of uniform density with a body's inertia, seen along y; the compiled one in black."""
+  com, moments, quat = (part[:31].double().cpu() for part in inertias)
   # Semi-axes squared are five times the second moments per mass.
   squares = 5.0 * (0.5 * moments.sum(-1, keepdim=True) - moments).clamp_min(1e-12)
   axes = matrix_from_quat(quat)
@@ -149,33 +153,31 @@ def _draw_ellipsoids(panel: Any, name: str, inertia: "InertiaReport") -> None:
   panel.set_xlabel("x [m]; upwards z [m]")
 
 
-@rc_context(_STYLE)
 def plot_trials(
   columns: Mapping[str, Sequence[Any]], rewards: Sequence[float], logarithmic: set[str], path: Path
 ) -> None:
   """Plot trials as lines over parallel axes, one for each value and one for the reward, which is also the color."""
   named = {**columns, "reward": rewards}
-  figure = Figure(figsize=(1.6 + 1.9 * len(named), 4.6))
-  panel = figure.subplots()
   heights = np.zeros((len(named), len(rewards)))
-  for place, (name, values) in enumerate(named.items()):
-    heights[place], ticks = _heights(values, name in logarithmic)
-    panel.axvline(place, color="black", linewidth=0.8)
-    for label, height in ticks.items():
-      panel.annotate(f" {label}", (place, height), va="center")
-  # The best trial is drawn last.
-  for trial in np.argsort(np.nan_to_num(rewards, nan=-np.inf)):
-    panel.plot(heights[:, trial], color=colormaps["viridis"](heights[-1, trial]), alpha=0.8)
-  panel.set_xticks(range(len(named)), list(named))
-  panel.set_yticks([])
-  panel.set_xlim(-0.1, len(named) - 0.55)
-  panel.spines[:].set_visible(False)
-  _save(figure, path)
+  with _figure(path, 1.6 + 1.9 * len(named), 4.6) as figure:
+    panel = figure.subplots()
+    for place, (name, values) in enumerate(named.items()):
+      heights[place], ticks = _heights(values, name in logarithmic)
+      panel.axvline(place, color="black", linewidth=0.8)
+      for label, height in ticks.items():
+        panel.annotate(f" {label}", (place, height), va="center")
+    # The best trial is drawn last.
+    for trial in np.argsort(np.nan_to_num(rewards, nan=-np.inf)):
+      panel.plot(heights[:, trial], color=colormaps["viridis"](heights[-1, trial]), alpha=0.8)
+    panel.set_xticks(range(len(named)), list(named))
+    panel.set_yticks([])
+    panel.set_xlim(-0.1, len(named) - 0.55)
+    panel.spines[:].set_visible(False)
 
 
 def _heights(values: Sequence[Any], is_log: bool) -> tuple[np.ndarray, dict[str, float]]:
   """Return the heights of values on an axis from 0 to 1, and those of its labels."""
-  if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+  if {type(value) for value in values} <= {int, float}:
     numbers = np.log10(values) if is_log else np.array(values, dtype=float)
     ticks = np.linspace(np.nanmin(numbers), np.nanmax(numbers), 5)
     labels = [f"{10**tick if is_log else tick:.3g}" for tick in ticks]
@@ -184,4 +186,4 @@ def _heights(values: Sequence[Any], is_log: bool) -> tuple[np.ndarray, dict[str,
     numbers = np.array([labels.index(str(value)) for value in values], dtype=float)
     ticks = np.arange(len(labels), dtype=float)
   span = ticks[-1] - ticks[0] or 1.0
-  return (numbers - ticks[0]) / span, dict(zip(labels, ((ticks - ticks[0]) / span).tolist(), strict=True))
+  return (numbers - ticks[0]) / span, dict(zip(labels, (ticks - ticks[0]) / span, strict=True))

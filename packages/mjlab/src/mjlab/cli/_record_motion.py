@@ -35,17 +35,9 @@ class Arguments(PolicyArguments, TaskArguments):
   """Replace an existing file."""
 
 
-_LINE = CommandLine(
-  name="record-motion",
-  words="TASK --output FILE.npz",
-  purpose="Plays a policy with the configuration for watching, and writes the motion of one robot as a clip.",
-  arguments=Arguments,
-)
-
-
-@_LINE.task_command
+@CommandLine("record-motion", "TASK --output FILE.npz", Arguments)
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Record a clip; return the exit code."""
+  """Play a policy with the configuration for watching, and write the motion of one robot as a clip."""
   if wanted.output is None:
     raise UsageError("--output is missing: name the clip's file, ending in .npz")
   output = output_file("--output", wanted.output, ".npz", force=wanted.force)
@@ -54,7 +46,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   from mjlab_motions import check_quality, derived_arrays, save_motion
 
   # Again, with the configuration of the run as the default.
-  wanted = _LINE.parse(line.flags, env=environments.for_watching(found.parts))
+  wanted = line.parse(env=environments.for_watching(found.parts))
   wanted.env.scene.num_envs, wanted.env.seed = 1, wanted.seed
   with found.acting(wanted.env, environments.resolve_device(wanted.device)) as (env, policy):
     recorder = _recorder(env, wanted.entity)

@@ -48,10 +48,10 @@ class Arguments(TaskArguments):
   """Configuration of the learner."""
 
 
-_LINE = CommandLine(
-  name="sweep",
-  purpose="Trains a task with many values of its configuration, and shows the best. Needs Ray, the extra sweep.",
-  arguments=Arguments,
+@CommandLine(
+  "sweep",
+  "TASK",
+  Arguments,
   notes="""\
   --agent.PATH VALUE        A value that all trials have, e.g. --agent.max-iterations 300.
 
@@ -63,11 +63,11 @@ _LINE = CommandLine(
     perturb: [agent.algorithm.entropy-coef]
 """,
 )
-
-
-@_LINE.task_command
 def run(wanted: Arguments, line: TaskLine) -> int:
-  """Run or continue a sweep; return 1 if every trial failed."""
+  """Train a task with many values of its configuration, and show the best.
+
+  This needs Ray, the extra sweep.
+  """
   from mjlab.cli._flags import grouped
 
   name = line.name
@@ -121,10 +121,9 @@ def report(trials: list[Trial], space: Space, folder: Path) -> str:
   with AtomicWrite(csv_file) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
     csv.writer(file).writerows([[*head, *names], *rows])
   ends = [name.rpartition(".")[2] for name in names]
-  short = [end if ends.count(end) == 1 else name for end, name in zip(ends, names, strict=True)]
-  columns = dict(zip(short, list(zip(*rows, strict=True))[len(head) :], strict=True))
-  domains = zip(short, space.values.values(), strict=True)
-  logarithmic = {name for name, domain in domains if isinstance(domain, Range) and domain.log}
+  short = {name: end if ends.count(end) == 1 else name for name, end in zip(names, ends, strict=True)}
+  columns = {short[name]: [trial.values.get(name, "") for trial in best] for name in names}
+  logarithmic = {short[name] for name, domain in space.values.items() if isinstance(domain, Range) and domain.log}
   plot_trials(columns, [trial.reward for trial in best], logarithmic, picture)
   shown = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in rows]
-  return f"{table([*head, *short], shown)}\nwrote {csv_file}\nwrote {picture}"
+  return f"{table([*head, *columns], shown)}\nwrote {csv_file}\nwrote {picture}"

@@ -59,26 +59,23 @@ class Arguments(CommonArguments):
   """Standard deviation, in units of half the bounds' width, above which a parameter stays at its prior."""
 
 
-_LINE = CommandLine(
-  name="sysid",
-  words="RECORD [RECORD ...]",
-  purpose=(
-    "Fits parameters of a robot to records of its commands and motion. Writes an overlay file that any task applies, "
-    "and a report. Parameters that are not identifiable are named and stay at their prior. Ctrl-C ends the "
-    "fit and writes what was found; a second Ctrl-C writes nothing. Either can be continued with --resume."
-  ),
-  arguments=Arguments,
+@CommandLine(
+  "sysid",
+  "RECORD [RECORD ...]",
+  Arguments,
   notes="""\
 records are .csv, .npz or .mcap files; fields are rows of the catalogue of mjlab-dr, the actuators' stiffness, damping,
 effort_limit and delay [s], and encoder_bias. Default bounds are those of the task's randomisation, or 0.25 to 4 times
 the model's value.
 """,
 )
-
-
-@_LINE.command
 def run(wanted: Arguments, paths: list[str]) -> int:
-  """Fit parameters; return the exit code."""
+  """Fit parameters of a robot to records of its commands and motion.
+
+  Write an overlay file that any task applies, and a report. Parameters that are not identifiable are named and stay
+  at their prior. Ctrl-C ends the fit and writes what was found; a second Ctrl-C writes nothing. Either can be
+  continued with --resume.
+  """
   output = Path(wanted.output)
   report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
   for flag, path in (("--output", output), ("--report", report)):

@@ -9,16 +9,17 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from mjlab_core import AtomicWrite, MjlabError, UsageError, nearest
 
-from mjlab.cli._help import FlagRow, flags_help
+from mjlab.cli._help import FlagRow, help_text
 from mjlab.registry import task_entries
 
 
 def task_help(
-  command: str, task: str, given: Sequence[str], word: str, rows: Callable[[], list[FlagRow]], *, notes: str = ""
+  command: str, task: str, given: Sequence[str], word: str, build: Callable[[], Any], *, notes: str = ""
 ) -> str:
   """Return the help on flags that have `word` in their names.
 
@@ -27,7 +28,7 @@ def task_help(
     task: Name of the task.
     given: Words before `--help`; one of them may select a learner.
     word: Part of names; empty for all.
-    rows: Function that builds the task and returns all flags; not called if the kept ones are up to date.
+    build: Function that builds the configuration; not called if the kept flags are up to date.
     notes: Text below all flags.
 
   Raises:
@@ -36,7 +37,9 @@ def task_help(
   path = _path(command, task, given)
   known = None if path is None else _read(path)
   if known is None:
-    known = rows()
+    from mjlab.cli._flags import help_rows
+
+    known = help_rows(build())
     if path is not None:
       _write(path, known)
   word = word.strip("-").replace("_", "-").replace(" ", "-").lower()
@@ -45,7 +48,7 @@ def task_help(
     close = nearest(word, dict.fromkeys(part for row in known for part in row.name.split(".")))
     raise UsageError(f"no flag has '{word}' in its name." + (f" Nearest: {', '.join(close)}." if close else ""))
   about = "" if word else f"{command} {task} --help WORD shows the flags that have WORD in their names."
-  return flags_help(f"{command} {task} [flags]", about, shown, notes="" if word else notes)
+  return help_text(f"{command} {task} [flags]", about, shown, notes="" if word else notes)
 
 
 class _Kept(msgspec.Struct):
@@ -59,8 +62,7 @@ def _path(command: str, task: str, given: Sequence[str]) -> Path | None:
   """Return the file of a task of an installed package; None for one that a script registered."""
   if any(entry.name == task and entry.package == "(registered)" for entry in task_entries()):
     return None
-  root = os.environ.get("XDG_CACHE_HOME")
-  folder = Path(root) if root else Path.home() / ".cache"
+  folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
   # Several environments may have tasks of one name.
   key = hashlib.sha256(repr((command, task, *given, sys.prefix)).encode()).hexdigest()
   return folder / "mjlab" / "help" / f"{key[:32]}.json"

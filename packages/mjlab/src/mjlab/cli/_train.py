@@ -11,7 +11,7 @@ from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, as_usage, building, take
+from mjlab.cli._command_line import CommandLine, Loaded, TaskArguments, TaskLine, as_usage, building, take
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import watching
 from mjlab.registry import list_tasks, load_task, task_file
@@ -70,7 +70,7 @@ class Arguments(TaskArguments):
   """Configuration of the learner."""
 
 
-def _load(name: str, words: list[str]) -> TaskLine:
+def _load(name: str, words: list[str]) -> Loaded:
   """Load a task with the learner of `--agent NAME`; a bare `--resume` means the latest run.
 
   Raises:
@@ -87,22 +87,7 @@ def _load(name: str, words: list[str]) -> TaskLine:
       raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
     with as_usage("--agent"):
       task = with_agent(task, learner)
-  return TaskLine(name=name, task=task, given=given, flags=flags)
-
-
-_LINE = CommandLine(
-  name="train",
-  purpose="Trains a policy.",
-  arguments=Arguments,
-  notes="""\
-  --agent NAME              Learner: ppo (or what the task has), flashsac or fastsac.
-  --agent.PATH VALUE        Any value of the learner, e.g. --agent.max-iterations 10_000.
-  --help WORD               After a task: its flags, all or those that have WORD in their names.
-
-train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.
-""",
-  load=_load,
-)
+  return task, given, flags
 
 
 def run(words: list[str]) -> int:
@@ -117,8 +102,21 @@ def run(words: list[str]) -> int:
   return 0
 
 
-@_LINE.task_command
+@CommandLine(
+  "train",
+  "TASK",
+  Arguments,
+  notes="""\
+  --agent NAME              Learner: ppo (or what the task has), flashsac or fastsac.
+  --agent.PATH VALUE        Any value of the learner, e.g. --agent.max-iterations 10_000.
+  --help WORD               After a task: its flags, all or those that have WORD in their names.
+
+train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or fish.
+""",
+  load=_load,
+)
 def _train(wanted: Arguments, line: TaskLine) -> int:
+  """Train a policy."""
   from mjlab_rl import Console
   from mjlab_rl.ranks import Ranks
 
@@ -144,7 +142,7 @@ def _train(wanted: Arguments, line: TaskLine) -> int:
   else:
     task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   # Again, with the configuration of the run as the default.
-  wanted = _LINE.parse(line.flags, agent=task.agent, env=task.env)
+  wanted = line.parse(agent=task.agent, env=task.env)
   if restarted is not None:
     wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
   if wanted.seed is not None:

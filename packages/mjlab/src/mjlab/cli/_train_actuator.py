@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from mjlab_core import UsageError
 
 from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
-from mjlab.cli._progress import ProgressBar, stop_on_ctrl_c
+from mjlab.cli._progress import progress_bar, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
 
 if TYPE_CHECKING:
@@ -46,26 +46,22 @@ class Arguments(CommonArguments):
   """Seed of the initial weights and of the order of samples."""
 
 
-_LINE = CommandLine(
-  name="train-actuator",
-  words="RECORD [RECORD ...]",
-  purpose=(
-    "Fits a network to the effort of a motor, from records of its commands and responses, and writes a file for "
-    "LearnedMlpActuatorCfg. Ctrl-C ends the training after the current epoch and writes the network; a second Ctrl-C "
-    "writes nothing."
-  ),
-  arguments=Arguments,
+@CommandLine(
+  "train-actuator",
+  "RECORD [RECORD ...]",
+  Arguments,
   notes="""\
 records are .csv, .npz or .mcap files (docs/sysid.md); of each joint the command reads
   position_target, position [rad or m], velocity [rad/s or m/s], and effort [N m or N]: that of the motor from this
   row to the next. The network is used at the period of the first record.
 """,
 )
-
-
-@_LINE.command
 def run(wanted: Arguments, records: list[str]) -> int:
-  """Fit a network; return the exit code."""
+  """Fit a network to the effort of a motor, from records of its commands and responses.
+
+  Write a file for LearnedMlpActuatorCfg. Ctrl-C ends the training after the current epoch and writes the network; a
+  second Ctrl-C writes nothing.
+  """
   output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
   plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
   for flag, path in (("--output", output), ("--plot", plot)):
@@ -77,10 +73,10 @@ def run(wanted: Arguments, records: list[str]) -> int:
   found = read_records(records)
   describe_records(found)
   cfg = MotorFitCfg(**{field.name: getattr(wanted, field.name) for field in dataclasses.fields(MotorFitCfg)})
-  with ProgressBar("training", cfg.epochs) as bar, stop_on_ctrl_c() as stopped:
+  with progress_bar("training", cfg.epochs) as show_progress, stop_on_ctrl_c() as stopped:
 
     def show(seen: "FitProgress") -> bool:
-      bar.show(seen.epoch, f"error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}")
+      show_progress(seen.epoch, f"error: train {seen.train_error:.4g}, held out {seen.held_out_error:.4g}")
       return bool(stopped)
 
     fit = fit_motor(found, cfg, show)

@@ -46,14 +46,6 @@ class Arguments(PageArguments):
   """Draw a map of heights instead of rendering; it needs no OpenGL."""
 
 
-_LINE = CommandLine(
-  name="visualize-terrain",
-  words="[TYPE ...]",
-  purpose="Shows terrain in the browser, or in a picture.",
-  arguments=Arguments,
-)
-
-
 def run(words: list[str]) -> int:
   """Show terrain; return the exit code."""
   # MuJoCo chooses how to render when it is imported, and without a display its first choice does not work.
@@ -65,10 +57,12 @@ def run(words: list[str]) -> int:
   # All --set count, unlike other flags, whose last one counts.
   settings, words = take(words, "--set", nargs="*", action="extend")
   words += ["--set", *settings] if settings else []
-  return dataclasses.replace(_LINE, notes=f"{types}\n").command(_show)(words)
+  form = CommandLine("visualize-terrain", "[TYPE ...]", Arguments, notes=f"{types}\n")
+  return form(_show)(words)
 
 
 def _show(wanted: Arguments, names: list[str]) -> int:
+  """Show terrain in the browser, or in a picture."""
   cfg = _grid(names, wanted)
   if wanted.image is not None:
     return _write_image(cfg, wanted)
@@ -90,14 +84,10 @@ def _grid(names: list[str], wanted: Arguments) -> "TerrainGridCfg":
     apply_settings(types, wanted.set)
     cfg = TerrainGridCfg(
       types=types,
-      tile_size=wanted.tile_size,
       rows=1 if len(types) == 1 and low == high else wanted.rows,
-      columns=wanted.columns,
-      layout=wanted.layout,
       difficulty=(low, high),
-      seed=wanted.seed,
-      color=wanted.color,
       border_width=wanted.border,
+      **{name: getattr(wanted, name) for name in ("tile_size", "columns", "layout", "seed", "color")},
     )
     cfg.check()
     return cfg

@@ -29,20 +29,12 @@ class Arguments(PageArguments):
   """Overwrite an existing film."""
 
 
-_LINE = CommandLine(
-  name="viz-nan",
-  words="FILE",
-  purpose=(
-    "Reports for each environment in a NaN dump the first value that was not finite or beyond 1e10. Repeats the last "
-    "steps in MuJoCo C from the states of the dump, and reports whether MuJoCo C diverges too."
-  ),
-  arguments=Arguments,
-)
-
-
-@_LINE.command
+@CommandLine("viz-nan", "FILE", Arguments)
 def run(wanted: Arguments, files: list[str]) -> int:
-  """Print a report on every environment of the file; show them if wanted."""
+  """Report for each environment in a NaN dump the first value that was not finite or beyond 1e10.
+
+  Repeat the last steps in MuJoCo C from the states of the dump, and report whether MuJoCo C diverges too.
+  """
   (file,) = files
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force)

@@ -110,7 +110,10 @@ def find_feet(robot: RobotModel, qpos: np.ndarray, given: Sequence[str]) -> tupl
   if not lowest:
     raise MjlabError(f"{robot.source}: no geom collides, so that the robot would fall through the ground")
   bodies = robot.spec.bodies[1:] if given else last_links(robot.spec)
-  by_body = {body.name: [geom.name for geom in body.find_all("geom") if geom.name in lowest] for body in bodies}
+  by_body = {
+    body.name: {geom.name: lowest[geom.name] for geom in body.find_all("geom") if geom.name in lowest}
+    for body in bodies
+  }
   names: list[str] = []
   if given:
     _, names = match_names(given, list(by_body), what="body", owner="--feet")
@@ -119,8 +122,8 @@ def find_feet(robot: RobotModel, qpos: np.ndarray, given: Sequence[str]) -> tupl
   elif robot.is_floating:
     floor = min(lowest.values())
     limit = floor + SAME_HEIGHT * (max(lowest.values()) - floor)
-    names = [name for name, geoms in by_body.items() if any(lowest[geom] <= limit for geom in geoms)]
-  return tuple(_foot(robot, data, name, {geom: lowest[geom] for geom in by_body[name]}) for name in names)
+    names = [name for name, geoms in by_body.items() if any(height <= limit for height in geoms.values())]
+  return tuple(_foot(robot, data, name, by_body[name]) for name in names)
 
 
 def _foot(robot: RobotModel, data: mujoco.MjData, name: str, lowest: dict[str, float]) -> Foot:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -140,14 +140,3 @@ def last_links(spec: mujoco.MjSpec) -> list[mujoco.MjsBody]:
 def pattern(name: str) -> str:
   """Return a pattern that matches a name only; a usual name is one itself."""
   return name if re.fullmatch(r"[\w/ -]*", name) else re.escape(name)
-
-
-def without_actuators(spec: mujoco.MjSpec, names: Set[str]) -> mujoco.MjSpec:
-  """Return a copy without the named actuators and without keyframes."""
-  made = spec.copy()
-  for key in list(made.keys):
-    made.delete(key)
-  for actuator in list(made.actuators):
-    if actuator.name in names:
-      made.delete(actuator)
-  return made

@@ -11,7 +11,7 @@ from mjlab_core import RenderingError, printable
 from mjlab_scene.export import write_spec
 
 from mjlab.new.limbs import Foot, bend_legs, colliding, find_feet, find_torso, home_pose
-from mjlab.new.model_file import Base, RobotModel, pattern, read_robot_model, without_actuators
+from mjlab.new.model_file import Base, RobotModel, pattern, read_robot_model
 from mjlab.new.package import call_source, filled, source
 from mjlab.new.picture import robot_picture
 from mjlab.new.servos import Drives, read_drives
@@ -26,8 +26,7 @@ class NewRobot:
   """Robot that was read, with what was guessed about it."""
 
   robot: RobotModel
-  spec: mujoco.MjSpec
-  """The model to write: without the actuators that servos replace, with the keyframe "home"."""
+  """Model to write: without the actuators that servos replace, with the keyframe "home"."""
   drives: Drives
   torso: str
   feet: tuple[Foot, ...]
@@ -72,10 +71,12 @@ def read_robot(
   for one, other in exclude_overlaps(robot, qpos):
     robot.notes.append(f"no contact between {printable(one)} and {printable(other)}, which overlap in the home pose")
   _add_motion_sensors(robot)
-  spec = without_actuators(robot.spec, drives.replaced)
+  spec = robot.spec
+  for element in [*spec.keys, *(actuator for actuator in spec.actuators if actuator.name in drives.replaced)]:
+    spec.delete(element)
   drives, settled = _settled(spec, drives, qpos)
   spec.add_key(name="home", qpos=np.round(settled.qpos, 5))
-  return NewRobot(robot=robot, spec=spec, drives=drives, torso=body, feet=soles, home=settled)
+  return NewRobot(robot=robot, drives=drives, torso=body, feet=soles, home=settled)
 
 
 def _settled(spec: mujoco.MjSpec, drives: Drives, qpos: np.ndarray) -> tuple[Drives, Home]:
@@ -98,7 +99,7 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
   except RenderingError as error:
     new.robot.notes.append(f"no picture: {printable(error, 200)}")
   facts = {"name": name, "distribution": name.replace("_", "-"), "source": new.robot.source}
-  feet, drives, model = new.feet, new.drives, new.spec.copy().compile()
+  feet, drives, model = new.feet, new.drives, new.robot.spec.copy().compile()
   solid, configs = colliding(model), drives.configs()
   values: dict[str, object] = {
     "torso": new.torso,
@@ -141,15 +142,13 @@ def _add_motion_sensors(robot: RobotModel) -> None:
   spec, root = robot.spec, robot.spec.bodies[1]
   if all(site.name != "imu" for site in spec.sites):
     root.add_site(name="imu")
-  imu, body = (mujoco.mjtObj.mjOBJ_SITE, "imu"), (mujoco.mjtObj.mjOBJ_BODY, root.name)
-  wanted = {
-    "imu_lin_vel": (mujoco.mjtSensor.mjSENS_VELOCIMETER, *imu),
-    "imu_ang_vel": (mujoco.mjtSensor.mjSENS_GYRO, *imu),
-    "root_angmom": (mujoco.mjtSensor.mjSENS_SUBTREEANGMOM, *body),
-  }
-  taken = {sensor.name for sensor in spec.sensors}
-  for name, (kind, objtype, objname) in wanted.items():
-    if name not in taken:
+  kinds, objects = mujoco.mjtSensor, mujoco.mjtObj
+  for name, kind, objtype, objname in (
+    ("imu_lin_vel", kinds.mjSENS_VELOCIMETER, objects.mjOBJ_SITE, "imu"),
+    ("imu_ang_vel", kinds.mjSENS_GYRO, objects.mjOBJ_SITE, "imu"),
+    ("root_angmom", kinds.mjSENS_SUBTREEANGMOM, objects.mjOBJ_BODY, root.name),
+  ):
+    if all(sensor.name != name for sensor in spec.sensors):
       spec.add_sensor(name=name, type=kind, objtype=objtype, objname=objname)
 
 

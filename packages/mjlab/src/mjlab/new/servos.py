@@ -91,43 +91,48 @@ def read_drives(robot: RobotModel, motors: Sequence[str], wheels: Sequence[str])
   given = robot.numbers(
     motors, "--motors", "PATTERN=EFFORT[,ARMATURE[,SPEED]] with positive numbers", most=3, above=0.0
   )
-  found: dict[str, ServoCfg] = {}
-  # Effort of a motor, and its armature and speed if they are known.
-  motor_data = {joint: tuple(numbers) for joint, numbers in given.items()}
-  kept: list[XmlActuatorCfg] = []
-  targets: list[str] = []
+  servos: dict[str, ServoCfg] = {}
+  guessed: set[str] = set()
+
+  def add_motor(joint: str, *data: float) -> None:
+    servos[joint] = _motor(model, joint, joint in wheels, *data)
+    if len(data) == 1 and joint not in wheels:
+      guessed.add(joint)
+
+  for joint, data in given.items():
+    add_motor(joint, *data)
+  kept: dict[tuple[str, str], XmlActuatorCfg] = {}
   replaced: set[str] = set()
   for i, actuator in enumerate(robot.spec.actuators):
     name, target = actuator.name, actuator.target
     kind = actuator.trntype.name.removeprefix("mjTRN_").lower()
     if kind not in ("joint", "tendon", "site") or (kind == "joint" and target not in order):
       raise MjlabError(f"actuator '{printable(name)}' drives neither a hinge nor a slide, tendon or site; remove it")
-    servo: ServoCfg | float | None = None
-    if kind == "joint" and target not in found and target not in motor_data:
-      servo = _servo_of(model, i, target)
+    servo = _servo_of(model, i, target) if kind == "joint" and target not in servos else None
     if isinstance(servo, ServoCfg):
-      found[target] = servo
+      servos[target] = servo
     elif servo is not None:
-      motor_data[target] = (servo,)
+      add_motor(target, servo)
     elif kind != "joint" or target not in given:
-      kept.append(XmlActuatorCfg(target_names_expr=(pattern(target),), transmission_type=kind))
-      targets.append(target)
+      kept[target, kind] = XmlActuatorCfg(target_names_expr=(pattern(target),), transmission_type=kind)
       continue
     replaced.add(name)
-  if not (found or motor_data or kept):
-    motor_data = {joint: (effort,) for joint in order if (effort := _joint_effort(model, joint))}
-  found |= {joint: _motor(model, joint, joint in wheels, *data) for joint, data in motor_data.items()}
-  if not (found or kept):
+  if not (servos or kept):
+    for joint in order:
+      if effort := _joint_effort(model, joint):
+        add_motor(joint, effort)
+  if not (servos or kept):
     joints = ", ".join(map(printable, order[:12]))
     raise MjlabError(f"{robot.source}: no joint has an actuator or an effort limit; give --motors. Joints: {joints}")
-  if passive := [name for name in order if name not in found and name not in targets]:
+  targets = [target for target, _ in kept]
+  if passive := [name for name in order if name not in (*servos, *targets)]:
     robot.notes.append(f"passive joints: {', '.join(map(printable, passive[:12]))}")
-  if kept:
+  if targets:
     robot.notes.append(f"kept as in the file: actuators of {', '.join(map(printable, targets[:12]))}")
   return Drives(
-    servos={name: found[name] for name in order if name in found},
-    guessed=frozenset(joint for joint, data in motor_data.items() if len(data) == 1 and joint not in wheels),
-    kept=tuple(kept),
+    servos={name: servos[name] for name in order if name in servos},
+    guessed=frozenset(guessed),
+    kept=tuple(kept.values()),
     replaced=frozenset(replaced),
   )
 
