@@ -64,7 +64,7 @@ def train_part(args: argparse.Namespace) -> None:
     device=resolve_device(args.device),
     log_root=args.output / args.part,
     console=Console(),
-    watch=stop_after(args.seconds),
+    on_ready=stop_after(args.seconds),
   )
 
 

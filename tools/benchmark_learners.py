@@ -125,7 +125,7 @@ def main() -> None:
     device=device,
     log_root=args.output.parent / "logs",
     console=Console(),
-    watch=stop_after(args.seconds, args.target, args.after_target),
+    on_ready=stop_after(args.seconds, args.target, args.after_target),
   )
   assert result.directory is not None
   found = curve(result.directory)

@@ -34,7 +34,7 @@ def test_a_run_whose_process_dies_goes_on_by_itself_and_ctrl_c_ends_all(tmp_path
     command.wait_for(r"(?s)continuing from.*\d/1000000 ")
     after = processes(command.pid)
     assert command.interrupt().count("Stopping after this iteration") == 2
-    assert "World state was not restored" not in command.said
+    assert "world state was not restored" not in command.said
     assert "stopped (SIGINT)" in command.said
   assert not [pid for pid in (*before.values(), *after.values()) if Path(f"/proc/{pid}").exists()]
   assert len(list((tmp_path / "logs" / "cartpole").iterdir())) == 2

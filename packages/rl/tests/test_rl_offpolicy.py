@@ -227,11 +227,9 @@ def test_the_exported_network_is_the_policy(preset: str) -> None:
   runner = runner_of(agent_of(preset))
   runner.learn(2)
   actor: Any = runner.networks["actor"].eval()
-  exported = actor.as_onnx().eval()
+  exported = actor.as_onnx(verbose=False).eval()
   obs = torch.randn(1, 2)
   torch.testing.assert_close(exported(obs), actor.squash.deterministic_output(actor.output(obs)))
-  # A bundle is refreshed with the newest weights by name.
-  assert set(actor.state_dict()) == set(exported.state_dict())
 
 
 @pytest.mark.parametrize("preset", ["fastsac", "flashsac"])

@@ -94,7 +94,7 @@ def test_an_off_policy_run_of_two_processes_has_one_learner_and_resumes_exactly(
 @pytest.mark.slow
 def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launched: tuple[Path, str]) -> None:
   folder, shown = launched
-  assert "World state was not restored: it was saved by 1 process, there are 2 now" in shown
+  assert "world state was not restored: it was saved by 1 process, there are 2 now" in shown
   first, second = kept(folder, "alone")
   assert_same(first["learner"], second["learner"])
   assert first["steps"] == 4 * 6 * 2 + 2 * 4 * 6 * 3
@@ -106,7 +106,7 @@ def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launch
   train(
     task, name="Point", make_env=PointEnv, log_root=None, resume=run / "model_3.pt", console=Console("normal", text)
   )
-  assert "World state was not restored: it was saved by 2 processes, there is 1 now" in text.getvalue()
+  assert "world state was not restored: it was saved by 2 processes, there is 1 now" in text.getvalue()
 
 
 @pytest.mark.slow

@@ -135,34 +135,6 @@ def as_tensor(kind: type, value: Any) -> Any:
   return value
 
 
-def restore_step_counter(state: Mapping[str, Any], env: Any) -> int | None:
-  """Restore the step counter of a checkpoint of mjlab 1.x, for curricula; return it, or None if either has none."""
-  infos, counter = msgspec.convert(state.get("infos"), _Infos | None), getattr(env, "common_step_counter", None)
-  if infos is None or infos.env_state is None or infos.env_state.common_step_counter is None or counter is None:
-    return None
-  counter.fill_(infos.env_state.common_step_counter)
-  return infos.env_state.common_step_counter
-
-
-def read_policy(path: Path, policy: str) -> tuple[dict[str, Any], Shapes | None]:
-  """Read the weights of the policy in a checkpoint: "actor" of reinforcement learning, "student" of distillation.
-
-  Args:
-    path: The file.
-    policy: Name of the policy if the file has both.
-
-  Returns:
-    The weights, and the result of `shapes_seen`.
-
-  Raises:
-    FileError: As `read_checkpoint`.
-  """
-  names = dict.fromkeys((policy, "actor", "student"))
-  state = read_checkpoint(path, *names)
-  name = next(name for name in names if f"{name}_state_dict" in state)
-  return state[f"{name}_state_dict"], shapes_seen(state, name)
-
-
 def shapes_seen(state: Mapping[str, Any], network: str) -> Shapes | None:
   """Return the shapes of one world's observation groups that a network saw; None where the file does not say."""
   return (state.get("mjlab") or {}).get("shapes_seen", {}).get(network)
@@ -214,30 +186,6 @@ def network_problems(part: str, saved: Mapping[str, Any], present: Mapping[str, 
       yield f"{part}: {name} is {_shape(theirs)} in the file and {_shape(ours)} here"
     elif theirs.is_complex() or theirs.is_floating_point() != ours.is_floating_point():
       yield f"{part}: {name} is {theirs.dtype}, not {ours.dtype}"
-
-
-def check_network(
-  path: Path,
-  name: str,
-  groups: Sequence[str],
-  shapes: tuple[Shapes | None, Shapes],
-  weights: tuple[Mapping[str, Any], Mapping[str, Any]],
-) -> None:
-  """Compare a network of a checkpoint, and the observations of its training, with a present network.
-
-  Args:
-    path: The checkpoint, for the message.
-    name: Name of the network.
-    groups: Observation groups that it sees.
-    shapes: Their shapes in training, None if not known, and now.
-    weights: Weights in the file and in the network.
-
-  Raises:
-    FileError: They differ.
-  """
-  problems = [*shape_problems(groups, *shapes), *network_problems(name, *weights)]
-  fields = f"agent.{name}.hidden_dims and agent.{name}.obs_normalization"
-  refuse(f"checkpoint {path}", problems, f". Observations, actions, {fields} must be those of its training")
 
 
 def optimizer_problems(saved: Mapping[str, Any], present: torch.optim.Optimizer) -> Iterator[str]:

@@ -7,20 +7,39 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, Literal, Self, TypeVar
 
 from mjlab_core.config import Config
-from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, Share, field_problems
+from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, Share, field_problems, named_problem
 from mjlab_core.errors import ConfigError
 
-from mjlab_rl.network_entries import Activation, DistributionEntries, encoder_problems, entry_problems
+from mjlab_rl.network_entries import Activation, encoder_problems
 
 if TYPE_CHECKING:
   from mjlab_rl.evaluation import Evaluator
 
 Optimizer = Literal["adam", "adamw", "sgd", "rmsprop"]
 EnvCfgT = TypeVar("EnvCfgT")
+# Classes that take the place of rsl-rl's.
+_CLASSES = {
+  "CNNModel": "mjlab_rl.networks:ImageModel",
+  "GaussianDistribution": "mjlab_rl.networks:Gaussian",
+  "PPO": "mjlab_rl.captured_ppo:CapturedPPO",
+}
+_WITHOUT_IMAGES = ("MLPModel", "RNNModel")
+
+
+class LearnerPart(Config):
+  """Configuration of a network or an algorithm."""
+
+  def to_rsl_rl(self) -> dict[str, Any]:
+    """Return the arguments of the class, without the optional parts that are off."""
+    part = {name: copy.deepcopy(value) for name, value in vars(self).items() if value is not None}
+    for settings in (part, part.get("distribution_cfg", {})):
+      if (name := settings.get("class_name")) in _CLASSES:
+        settings["class_name"] = _CLASSES[name]
+    return part
 
 
 @dataclass(kw_only=True)
-class RslRlModelCfg(Config):
+class RslRlModelCfg(LearnerPart):
   """One network: an actor, a critic, a student or a teacher."""
 
   hidden_dims: Annotated[tuple[int, ...], Limits(ge=1)] = (128, 128, 128)
@@ -43,23 +62,20 @@ class RslRlModelCfg(Config):
   """rsl-rl's "MLPModel" or, for images, "CNNModel", with or without `rnn_type`, or "module:Class"."""
 
   def to_rsl_rl(self) -> dict[str, Any]:
-    """Return the arguments of the model class, without the optional parts that are off."""
-    names = {"CNNModel": "mjlab_rl.networks:ImageModel"}
-    model = {name: copy.deepcopy(value) for name, value in vars(self).items() if value is not None}
+    model = super().to_rsl_rl()
     if self.rnn_type is None:
       del model["rnn_hidden_dim"], model["rnn_num_layers"]
-    else:
-      names["MLPModel"] = "RNNModel"
-    model["class_name"] = names.get(self.class_name, self.class_name)
-    if model.get("distribution_cfg", {}).get("class_name") == "GaussianDistribution":
-      model["distribution_cfg"]["class_name"] = "mjlab_rl.networks:Gaussian"
+    elif self.class_name == "MLPModel":
+      model["class_name"] = "RNNModel"
     return model
 
   def problems(self, where: str) -> Iterator[str]:
     """Yield a line for each value that a network cannot be built from; `where` names the network."""
     if not self.hidden_dims:
       yield f"{where}.hidden_dims is empty; a network has at least one hidden layer"
-    yield from entry_problems(DistributionEntries, self.distribution_cfg or {}, f"{where}.distribution_cfg")
+    init_std = (self.distribution_cfg or {}).get("init_std", 1.0)
+    if problem := named_problem("init_std", init_std, Positive):
+      yield f"{where}.distribution_cfg.{problem}"
     encoders = self.cnn_cfg or {}
     if encoders and self.class_name in _WITHOUT_IMAGES:
       yield f"{where}.cnn_cfg is given, but {where}.class_name {self.class_name!r} takes no images"
@@ -69,11 +85,8 @@ class RslRlModelCfg(Config):
       yield from encoder_problems(encoder, f"{where}.cnn_cfg{group and '.'}{group}")
 
 
-_WITHOUT_IMAGES = ("MLPModel", "RNNModel")
-
-
 @dataclass(kw_only=True)
-class RslRlPpoAlgorithmCfg(Config):
+class RslRlPpoAlgorithmCfg(LearnerPart):
   """Proximal policy optimisation (Schulman et al. 2017, arXiv:1707.06347) as rsl-rl implements it."""
 
   num_learning_epochs: PositiveCount = 5
@@ -115,16 +128,9 @@ class RslRlPpoAlgorithmCfg(Config):
   class_name: str = "PPO"
   """rsl-rl's "PPO", on a GPU as a CUDA graph, or "module:Class"; "rsl_rl.algorithms:PPO" is rsl-rl's own."""
 
-  def to_rsl_rl(self) -> dict[str, Any]:
-    """Return the arguments of the algorithm class, without the optional parts that are off."""
-    algorithm = {name: value for name, value in vars(self).items() if value is not None}
-    if self.class_name == "PPO":
-      algorithm["class_name"] = "mjlab_rl.captured_ppo:CapturedPPO"
-    return algorithm
-
 
 @dataclass(kw_only=True)
-class RslRlDistillationAlgorithmCfg(Config):
+class RslRlDistillationAlgorithmCfg(LearnerPart):
   """Imitation of a teacher in the states that the student visits (DAgger, Ross et al. 2011, arXiv:1011.0686)."""
 
   num_learning_epochs: PositiveCount = 1
@@ -195,8 +201,10 @@ class RslRlBaseRunnerCfg(Config):
     """
     if problems := list(self.problems()):
       raise ConfigError(*problems)
-    return {
+    parts = {name: part.to_rsl_rl() for name, part in vars(self).items() if isinstance(part, LearnerPart)}
+    return parts | {
       "num_steps_per_env": self.num_steps_per_env,
+      "max_iterations": self.max_iterations,
       "save_interval": self.save_interval,
       "obs_groups": {name: list(groups) for name, groups in self.obs_groups.items()},
       "run_name": self.run_name,
@@ -272,10 +280,6 @@ class RslRlOnPolicyRunnerCfg(RslRlBaseRunnerCfg):
         f"{self.critic.class_name!r} takes no images"
       )
 
-  def to_rsl_rl(self) -> dict[str, Any]:
-    parts = ("actor", "critic", "algorithm")
-    return super().to_rsl_rl() | {name: getattr(self, name).to_rsl_rl() for name in parts}
-
   def check_samples(self, num_envs: int) -> None:
     steps, count = self.num_steps_per_env, self.algorithm.num_mini_batches
     # rsl-rl divides trajectories by worlds, and some batches would be empty.
@@ -348,11 +352,10 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
 
   def to_rsl_rl(self) -> dict[str, Any]:
     config = super().to_rsl_rl()
-    if self.teacher is not None:
-      network = self.teacher.to_rsl_rl()
-      several = {"class_name": "mjlab_rl.teachers:Teachers", "network": network, "count": self.num_teachers}
-      config["teacher"] = network if self.num_teachers == 1 else several
-    return config | {"student": self.student.to_rsl_rl(), "algorithm": dict(vars(self.algorithm))}
+    if self.teacher is not None and self.num_teachers > 1:
+      network = config["teacher"]
+      config["teacher"] = {"class_name": "mjlab_rl.teachers:Teachers", "network": network, "count": self.num_teachers}
+    return config
 
   def for_inference(self) -> Self:
     agent = super().for_inference()

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal, TextIO, cast
 from mjlab_rl.scalar_log import IterationReport
 
 if TYPE_CHECKING:
-  from mjlab_rl.live_table import LiveTable
+  from rich.live import Live
 
 Verbosity = Literal["quiet", "normal", "verbose"]
 
@@ -32,7 +32,8 @@ class Console:
     self._stream = cast("TextIO", _Surviving(stream if stream is not None else sys.stdout))
     is_terminal = self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown")
     self._is_live = verbosity == "normal" and is_terminal
-    self._table: LiveTable | None = None
+    self._live: Live | None = None
+    self._values: dict[str, float] = {}
     self._last_shown = -_PLAIN_INTERVAL
     self.on_report: list[Callable[[IterationReport], None]] = []
     """Functions called with every report, also by a quiet console."""
@@ -46,8 +47,8 @@ class Console:
     """Write a message on separate lines, above a live display."""
     if self._verbosity == "quiet":
       return
-    if self._table is not None:
-      self._table.say(text)
+    if self._live is not None:
+      self._live.console.print(text, soft_wrap=True)
     else:
       self._stream.write(text + "\n")
 
@@ -58,7 +59,9 @@ class Console:
     if self._verbosity == "quiet":
       return
     if self._verbosity == "verbose":
-      self._stream.write(_block(report) + "\n")
+      width = max(map(len, report.scalars), default=0)
+      lines = [f"  {name:<{width}}  {value:.5g}" for name, value in report.scalars.items()]
+      self._stream.write("\n".join((summary(report), *lines, "")))
       return
     now = time.monotonic()
     is_last = report.iteration + 1 == report.end
@@ -75,17 +78,20 @@ class Console:
     try:
       yield
     finally:
-      if self._table is not None:
-        self._table.close()
-        self._table = None
+      if self._live is not None:
+        self._live.stop()
+        self._live = None
 
   def _draw(self, report: IterationReport) -> None:
-    if self._table is None:
-      # Imported here: most runs of a command never draw.
-      from mjlab_rl.live_table import LiveTable
+    # Imported here: most runs of a command never draw.
+    from mjlab_rl.live_table import display, start_live
 
-      self._table = LiveTable(self._stream)
-    self._table.show(report, eta=duration(report.eta), line="  ".join(_figures(report)))
+    if self._live is None:
+      self._live, self._values = start_live(self._stream), {}
+    # Means over episodes are missing while no episode ends; the last ones stay.
+    self._values |= report.scalars
+    done = report.iteration + 1
+    self._live.update(display(done, report.end, duration(report.eta), _figures(report), self._values), refresh=True)
 
 
 class _Surviving:
@@ -116,34 +122,22 @@ class _Surviving:
 def summary(report: IterationReport) -> str:
   """Return one line of iteration, speed, reward, episode length and remaining time."""
   digits = len(str(report.end))
-  parts = [f"{report.iteration + 1:>{digits}}/{report.end}", *_figures(report), f"ETA {duration(report.eta)}"]
-  return "  ".join(parts)
+  return f"{report.iteration + 1:>{digits}}/{report.end}  {_figures(report)}  ETA {duration(report.eta)}"
 
 
-def _figures(report: IterationReport) -> list[str]:
-  parts = [f"{_count(report.steps_per_second)} steps/s"]
+def _figures(report: IterationReport) -> str:
+  speed = report.steps_per_second
+  parts = [f"{speed / 1e3:.0f}k steps/s" if speed >= 10_000 else f"{speed:.0f} steps/s"]
   if report.mean_reward is not None and report.mean_episode_length is not None:
     parts += [f"reward {report.mean_reward:.2f}", f"episode {report.mean_episode_length:.0f} steps"]
   else:
     parts += ["no episode finished yet"]
   if (loss := report.scalars.get("Loss/behavior")) is not None:
     parts += [f"teacher error {loss:.3g}"]
-  return parts
-
-
-def _block(report: IterationReport) -> str:
-  width = max(map(len, report.scalars), default=0)
-  lines = [summary(report)]
-  lines += [f"  {name:<{width}}  {value:.5g}" for name, value in report.scalars.items()]
-  return "\n".join(lines)
-
-
-def _count(value: float) -> str:
-  return f"{value / 1e3:.0f}k" if value >= 10_000 else f"{value:.0f}"
+  return "  ".join(parts)
 
 
 def duration(seconds: float) -> str:
   """Return a time as hours, minutes and seconds."""
   minutes, second = divmod(int(seconds), 60)
-  hours, minute = divmod(minutes, 60)
-  return f"{hours}:{minute:02d}:{second:02d}"
+  return f"{minutes // 60}:{minutes % 60:02d}:{second:02d}"

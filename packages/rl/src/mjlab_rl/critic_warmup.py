@@ -24,6 +24,11 @@ def actor_held(algorithm: Any) -> Generator[None]:
       for value in algorithm.optimizer.state.get(parameter, {}).values():
         if isinstance(value, torch.Tensor):
           value.zero_()
+  set_learning_rate(algorithm, rate)
+
+
+def set_learning_rate(algorithm: Any, rate: float) -> None:
+  """Set the step size of an algorithm of rsl-rl and of its optimiser."""
   algorithm.learning_rate = rate
   for group in algorithm.optimizer.param_groups:
     group["lr"] = rate

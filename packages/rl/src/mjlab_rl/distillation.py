@@ -1,11 +1,11 @@
 """Training loop of distillation."""
 
+from pathlib import Path
 from typing import Any, cast
 
 from rsl_rl.algorithms import Distillation
 from tensordict import TensorDict
 
-from mjlab_rl.checkpoint import check_network
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
 from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
@@ -32,10 +32,8 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
     """
     loaded: Any = self.networks["teacher"]
     networks = list(loaded) if isinstance(loaded, Teachers) else [loaded]
-    shapes = self._shapes_seen["teacher"]
     for teacher, network in zip(teachers, networks, strict=True):
-      seen, weights = (teacher.shapes_seen, shapes), (teacher.weights, network.state_dict())
-      check_network(teacher.path, "teacher", self.agent_cfg.obs_groups["teacher"], seen, weights)
+      self.check_network(teacher.path, "teacher", teacher.weights, teacher.shapes_seen, network)
     for teacher, network in zip(teachers, networks, strict=True):
       network.load_state_dict(teacher.weights)
     self._distillation.teacher_loaded = True
@@ -44,8 +42,8 @@ class MjlabDistillationRunner(MjlabOnPolicyRunner):
   def _distillation(self) -> Distillation:
     return cast("Distillation", self.alg)
 
-  def _load_worlds(self, state: dict[str, Any]) -> None:
-    super()._load_worlds(state)
+  def _load_worlds(self, path: Path, state: dict[str, Any]) -> None:
+    super()._load_worlds(path, state)
     # An update replays from the hidden state that the student had before the rollout.
     self._distillation.last_hidden_states = (self.networks["student"].get_hidden_state(), None)
 

@@ -14,6 +14,7 @@ from mjlab_core.constraints import field_hints, field_problem
 
 _SEQUENCES = (list, tuple, Sequence, Iterable, Collection)
 _SETS = (set, frozenset)
+_CONTAINERS = (dict, Mapping, *_SEQUENCES, *_SETS)
 
 
 def field_problems(cls: type, values: Mapping[str, Any], prefix: str) -> Iterator[str]:
@@ -36,6 +37,7 @@ def field_problems(cls: type, values: Mapping[str, Any], prefix: str) -> Iterato
 def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
   """Yield one line for each part of `value` that does not fit a type."""
   origin, arguments = get_origin(hint), get_args(hint)
+  kind = origin or hint
   if origin is Annotated:
     found = list(problems(value, arguments[0], where))
     if not found and (problem := field_problem(value, hint)):
@@ -45,22 +47,26 @@ def problems(value: Any, hint: Any, where: str) -> Iterator[str]:
     if problem := field_problem(value, hint):
       yield f"{where} {problem}"
   elif origin in (Union, types.UnionType):
-    if value is None and type(None) in arguments:
-      return
-    arms = [list(problems(value, arm, where)) for arm in arguments if arm is not type(None)]
+    arms = [list(problems(value, arm, where)) for arm in arguments if arm is not type(None) or value is None]
     if all(arms):
       yield from arms[0] if len(arms) == 1 else [_mismatch(value, hint, where)]
-  elif origin is Callable or hint is Callable:
+  elif kind is Callable:
     yield from callable_problems(value, arguments, where)
-  elif (origin or hint) in (dict, Mapping, *_SEQUENCES, *_SETS):
-    yield from _container_problems(value, origin or hint, arguments, where)
-  elif not _is_instance(value, origin or hint, arguments):
+  elif isinstance(value, functools.partial):
+    yield f"{where}: a partial may stand only in a field that is declared as a Callable; pass function and values apart"
+  elif not _is_instance(value, kind, arguments):
     yield _mismatch(value, hint, where)
   else:
-    yield from _hidden_partials(value, where)
+    for part, of_part, name in _parts(value, arguments if kind in _CONTAINERS else (), where):
+      yield from problems(part, of_part, name)
 
 
 def _is_instance(value: Any, kind: Any, arguments: tuple[Any, ...]) -> bool:
+  if kind in _SETS:
+    return isinstance(value, _SETS)
+  if kind in _SEQUENCES:
+    is_fixed = kind is tuple and arguments and arguments[-1] is not Ellipsis
+    return isinstance(value, (list, tuple)) and (not is_fixed or len(value) == len(arguments))
   if kind is type:
     bound = get_origin(arguments[0]) or arguments[0] if arguments else object
     return isinstance(value, type) and (bound is Any or not isinstance(bound, type) or issubclass(value, bound))
@@ -71,28 +77,24 @@ def _is_instance(value: Any, kind: Any, arguments: tuple[Any, ...]) -> bool:
   return isinstance(value, PurePath if issubclass(kind, PurePath) else kind)
 
 
-def _container_problems(value: Any, kind: Any, arguments: tuple[Any, ...], where: str) -> Iterator[str]:
-  if issubclass(kind, Mapping):
-    if not isinstance(value, Mapping):
-      yield f"{where}: expected a dictionary, got {_shown(value)}"
-      return
+def _parts(value: Any, arguments: tuple[Any, ...], where: str) -> Iterator[tuple[Any, Any, str]]:
+  """Yield each part of a container with its type and its name; other values have no parts.
+
+  Args:
+    value: The value.
+    arguments: Type arguments of its container; empty: parts of any type.
+    where: Name of the value.
+  """
+  if isinstance(value, Mapping):
     of_key, of_item = arguments or (Any, Any)
     for key, item in value.items():
-      yield from problems(key, of_key, f"{where} key")
-      yield from problems(item, of_item, f"{where}.{key}" if isinstance(key, str) else f"{where}[{key!r}]")
-    return
-  allowed = _SETS if kind in _SETS else (list, tuple)
-  if not isinstance(value, allowed):
-    yield f"{where}: expected a {kind.__name__.lower()}, got {_shown(value)}"
-    return
-  of_items: Iterable[Any] = [(arguments or (Any,))[0]] * len(value)
-  if kind is tuple and arguments and arguments[-1] is not Ellipsis:
-    if len(value) != len(arguments):
-      yield f"{where}: expected {len(arguments)} values, got {len(value)}"
-      return
-    of_items = arguments
-  for i, (item, of_item) in enumerate(zip(value, of_items, strict=True)):
-    yield from problems(item, of_item, f"{where}[{i}]")
+      yield key, of_key, f"{where} key"
+      yield item, of_item, f"{where}.{key}" if isinstance(key, str) else f"{where}[{key!r}]"
+  elif isinstance(value, (list, tuple, set, frozenset)):
+    is_each = len(arguments) == len(value) and arguments[-1:] != (Ellipsis,)
+    of_items = arguments if is_each else [(arguments or (Any,))[0]] * len(value)
+    for i, (item, of_item) in enumerate(zip(value, of_items, strict=True)):
+      yield item, of_item, f"{where}[{i}]"
 
 
 def callable_problems(value: Any, arguments: tuple[Any, ...], where: str) -> Iterator[str]:
@@ -146,18 +148,6 @@ def _term_problems(value: Any, where: str) -> Iterator[str]:
   is_called = not is_class or any("__call__" in vars(base) for base in value.__mro__)
   if not is_called or "env" not in names[: 3 if is_class else 1]:
     yield f"{where}: {_name(value)} is not a term: it does not take the environment first, as 'env'"
-
-
-def _hidden_partials(value: Any, where: str) -> Iterator[str]:
-  """Yield a line for each partial in plain containers, where no type says how it is called."""
-  if isinstance(value, functools.partial):
-    yield f"{where}: a partial may stand only in a field that is declared as a Callable; pass function and values apart"
-  elif isinstance(value, Mapping):
-    for key, item in value.items():
-      yield from _hidden_partials(item, f"{where}.{key}")
-  elif isinstance(value, (list, tuple, set, frozenset)):
-    for i, item in enumerate(value):
-      yield from _hidden_partials(item, f"{where}[{i}]")
 
 
 def _agree(annotation: Any, kind: Any) -> bool:

@@ -8,9 +8,6 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.progress_bar import ProgressBar
 from rich.table import Table
-from rich.text import Text
-
-from mjlab_rl.scalar_log import IterationReport
 
 _BAR = 40
 # Titles of the tables by the first part of their tags. A low terminal shows the first tables only. The lines above the
@@ -25,42 +22,36 @@ _TITLES = {
 }
 
 
-class LiveTable:
-  """Display that is redrawn in place: a progress bar, one line of figures, and tables of all logged values.
-
-  While it is open, text that the program prints appears above it.
+def start_live(stream: TextIO) -> Live:
+  """Start a display that is redrawn in place; text that the program prints appears above it.
 
   Args:
     stream: Terminal to draw on. Its errors are the owner's.
   """
+  console = Console(file=stream, force_terminal=True, highlight=False, markup=False, emoji=False)
+  live = Live(console=console, auto_refresh=False, vertical_overflow="crop")
+  live.start()
+  return live
 
-  def __init__(self, stream: TextIO) -> None:
-    self._console = Console(file=stream, force_terminal=True, highlight=False, markup=False, emoji=False)
-    self._live = Live(console=self._console, auto_refresh=False, vertical_overflow="crop")
-    self._live.start()
-    self._values: dict[str, float] = {}
 
-  def say(self, text: str) -> None:
-    """Write text above the display."""
-    self._console.print(Text(text), soft_wrap=True)
+def display(done: int, total: int, eta: str, line: str, values: Mapping[str, float]) -> Group:
+  """Return a progress bar, one line of figures, and tables of all logged values.
 
-  def show(self, report: IterationReport, *, eta: str, line: str) -> None:
-    """Draw the state after an iteration, with the remaining time and a line of figures below the bar."""
-    # Means over episodes are missing while no episode ends; the last ones stay.
-    self._values |= report.scalars
-    done, total = report.iteration + 1, report.end
-    bar = Table.grid(padding=(0, 2))
-    bar.add_row(f"{done}/{total}", ProgressBar(total, done, _BAR), f"{100 * done // total} %", f"ETA {eta}")
-    groups: dict[str, dict[str, float]] = {group: {} for group in _TITLES}
-    for tag, value in self._values.items():
-      group, _, name = tag.partition("/")
-      groups.setdefault(group, {})[name] = value
-    tables = [_table(group, values) for group, values in groups.items() if values and group not in ("Perf", "Train")]
-    self._live.update(Group(bar, Text(line), Columns(tables, padding=(0, 4))), refresh=True)
-
-  def close(self) -> None:
-    """Leave the last state on the terminal; later text begins below it."""
-    self._live.stop()
+  Args:
+    done: Iterations done.
+    total: Iterations in all.
+    eta: Remaining time.
+    line: Figures below the bar.
+    values: Values by rsl-rl's tags.
+  """
+  bar = Table.grid(padding=(0, 2))
+  bar.add_row(f"{done}/{total}", ProgressBar(total, done, _BAR), f"{100 * done // total} %", f"ETA {eta}")
+  groups: dict[str, dict[str, float]] = {group: {} for group in _TITLES}
+  for tag, value in values.items():
+    group, _, name = tag.partition("/")
+    groups.setdefault(group, {})[name] = value
+  tables = [_table(group, found) for group, found in groups.items() if found and group not in ("Perf", "Train")]
+  return Group(bar, line, Columns(tables, padding=(0, 4)))
 
 
 def _table(group: str, values: Mapping[str, float]) -> Table:

@@ -1,4 +1,4 @@
-"""Constraints of the dictionaries in a network's configuration, which rsl-rl does not check."""
+"""Constraints of the settings of image encoders, which rsl-rl does not check."""
 
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, TypedDict
@@ -9,12 +9,6 @@ Activation = Literal[
   "elu", "selu", "relu", "crelu", "lrelu", "tanh", "sigmoid", "softplus", "gelu", "swish", "mish", "identity"
 ]
 Sizes = Annotated[int | tuple[int, ...], Limits(ge=1)]
-
-
-class DistributionEntries(TypedDict, total=False):
-  """Constraints of `distribution_cfg`; other entries are free."""
-
-  init_std: Positive
 
 
 class EncoderEntries(TypedDict, total=False):
@@ -31,18 +25,12 @@ class EncoderEntries(TypedDict, total=False):
   temperature: Positive
 
 
-def entry_problems(schema: type[Any], entries: dict[str, Any], where: str) -> Iterator[str]:
-  """Yield a line for each entry of a dictionary that breaks the constraint of its field in `schema`."""
-  for name, hint in field_hints(schema).items():
-    if name in entries and (problem := named_problem(name, entries[name], hint)):
-      yield f"{where}.{problem}"
-
-
 def encoder_problems(encoder: dict[str, Any], where: str) -> Iterator[str]:
   """Yield a line for each setting of an image encoder that cannot work."""
-  problems = list(entry_problems(EncoderEntries, encoder, where))
-  yield from problems
-  if not problems:
+  hints = field_hints(EncoderEntries)
+  problems = [named_problem(name, value, hints.get(name, Any)) for name, value in encoder.items()]
+  yield from (f"{where}.{problem}" for problem in problems if problem)
+  if not any(problems):
     layers = len(encoder.get("output_channels", ()))
     for name, value in encoder.items():
       if isinstance(value, (tuple, list)) and len(value) != layers:

@@ -4,6 +4,7 @@ import contextlib
 import io
 import random
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,28 +17,26 @@ from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.ranks import Ranks
 
 
+@dataclass(frozen=True)
 class ProcessState:
-  """State of a process besides the learner, which all processes share.
+  """State of a process besides the learner, which all processes share."""
 
-  Args:
-    env: Its environment.
-    statistics: Its episodes.
-    networks: Networks with hidden states.
-    device: Device of the learner.
-  """
-
-  def __init__(
-    self, env: RlEnv, statistics: EpisodeStatistics, networks: Mapping[str, Any], device: torch.device
-  ) -> None:
-    self._env, self._statistics, self._networks, self._device = env, statistics, networks, device
+  env: RlEnv
+  """Its environment."""
+  statistics: EpisodeStatistics
+  """Its episodes."""
+  networks: Mapping[str, Any]
+  """Networks with hidden states."""
+  device: torch.device
+  """Device of the learner."""
 
   def state_dict(self) -> dict[str, Any]:
     """Return the state as tensors and plain values."""
     return {
-      "env": self._env.state_dict(),
-      "statistics": self._statistics.state_dict(),
-      "hidden_states": [network.get_hidden_state() for network in self._networks.values()],
-      "rng": _rng_state(self._device),
+      "env": self.env.state_dict(),
+      "statistics": self.statistics.state_dict(),
+      "hidden_states": [network.get_hidden_state() for network in self.networks.values()],
+      "rng": _rng_state(self.device),
     }
 
   def load(self, saved: Sequence[Mapping[str, Any]], num_envs: int, ranks: Ranks) -> str:
@@ -57,24 +56,24 @@ class ProcessState:
     was, now, reason = len(saved), ranks.world_size, ""
     if was != now:
       reason = f"it was saved by {was} process{'es' * (was > 1)}, there {'are' if now > 1 else 'is'} {now} now"
-    elif num_envs != self._env.num_envs:
-      reason = f"it was saved with {num_envs} worlds, there are {self._env.num_envs} now"
+    elif num_envs != self.env.num_envs:
+      reason = f"it was saved with {num_envs} worlds, there are {self.env.num_envs} now"
     own = saved[0 if reason else ranks.rank]
-    refuse("its world state", _hidden_state_problems(own["hidden_states"], self._networks, num_envs))
+    refuse("its world state", _hidden_state_problems(own["hidden_states"], self.networks, num_envs))
     if not reason:
       try:
-        self._env.load_state_dict(own["env"])
+        self.env.load_state_dict(own["env"])
       except (ValueError, LookupError, RuntimeError, TypeError, AttributeError) as error:
         reason = printable(error)
     # All processes or none, because they share the counters.
     reason = next(filter(None, ranks.gather(reason)), "")
     if reason:
-      self._env.reset()
-      self._env.load_progress(own["env"])
+      self.env.reset()
+      self.env.load_progress(own["env"])
     else:
-      _restore_hidden_states(own["hidden_states"], self._networks, self._device)
-      _restore_rng_state(own["rng"], self._device)
-    self._statistics.load_state_dict(own["statistics"], same_worlds=not reason)
+      _restore_hidden_states(own["hidden_states"], self.networks, self.device)
+      _restore_rng_state(own["rng"], self.device)
+    self.statistics.load_state_dict(own["statistics"], same_worlds=not reason)
     return reason
 
 

@@ -118,10 +118,9 @@ class Ranks:
     Raises:
       MjlabError: Another process has ended or hangs.
     """
-    if self.world_size == 1:
-      return
     try:
-      distributed.all_reduce(numbers)
+      if self.world_size > 1:
+        distributed.all_reduce(numbers)
     except RuntimeError as error:
       reason = printable((str(error).splitlines() or [""])[0], 200)
       raise MjlabError(f"rank {self.rank}: another process of the run has ended or hangs ({reason})") from error
@@ -141,32 +140,32 @@ class Patience:
 
   seconds: float | None = None
   """Time without progress after which a process ends [s]; None: it waits."""
-  is_begun: bool = False
+  _limit: float | None = None
 
   def begin(self) -> None:
     """Set the limit, after all processes have compiled their kernels."""
-    if self.seconds is not None and not self.is_begun and distributed.is_initialized():
-      self.is_begun = True
-      _limit_messages(timedelta(seconds=self.seconds))
+    if self._limit is None and self.seconds is not None and distributed.is_initialized():
+      self._limit = self.seconds
+      _limit_messages(timedelta(seconds=self._limit))
 
   def progress(self) -> None:
     """Give this process more time; without progress it prints where each thread is, and ends.
 
     Messages fail a little earlier, so that processes that wait for another one can save their work.
     """
-    if self.is_begun and self.seconds is not None:
-      faulthandler.dump_traceback_later(1.25 * self.seconds, exit=True)
+    if self._limit is not None:
+      faulthandler.dump_traceback_later(1.25 * self._limit, exit=True)
 
   @contextlib.contextmanager
   def suspended(self) -> Generator[None]:
     """Lift the limit while entered, for work of one process that the others wait for, such as a checkpoint."""
-    if not self.is_begun or self.seconds is None:
+    if self._limit is None:
       yield
       return
     faulthandler.cancel_dump_traceback_later()
     _limit_messages(distributed.default_pg_timeout)
     yield
-    _limit_messages(timedelta(seconds=self.seconds))
+    _limit_messages(timedelta(seconds=self._limit))
     self.progress()
 
 

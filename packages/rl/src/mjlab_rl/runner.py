@@ -5,7 +5,7 @@ import io
 import math
 import os
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -21,7 +21,7 @@ from tensordict import TensorDict
 from mjlab_rl import checkpoint
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.console import Console
-from mjlab_rl.critic_warmup import actor_held
+from mjlab_rl.critic_warmup import actor_held, set_learning_rate
 from mjlab_rl.episode_statistics import EpisodeStatistics
 from mjlab_rl.networks import largest_weights
 from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
@@ -83,8 +83,9 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     with contextlib.redirect_stdout(io.StringIO()) as chatter:
       self.alg = algorithm.construct_algorithm(env.get_observations(), env, self.cfg, self.device)
     self.current_learning_iteration = 0
+    # Not compiled: a compiled network has other names for its weights.
     self.networks: dict[str, MLPModel] = {name: getattr(self.alg, name) for name in self.network_names}
-    """Networks by name, not compiled: a compiled one has other names for its weights."""
+    """Networks by name."""
     self.alg.compile(cfg.torch_compile_mode)
     if self.console.is_verbose:
       self.console.say(chatter.getvalue().rstrip())
@@ -200,12 +201,12 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     except Exception as error:
       if self.log_dir is not None:
         path = self.log_dir / f"emergency_{self.current_learning_iteration}.pt"
+        result = f"saved {path}, which --resume takes"
         try:
           checkpoint.write_checkpoint(path, self._state([self._process.state_dict()]))
         except Exception as unsaved:
-          self.console.say(f"{type(error).__name__} in a step or update; {path.name} not saved: {printable(unsaved)}")
-        else:
-          self.console.say(f"{type(error).__name__} in a step or update; saved {path}, which --resume takes")
+          result = f"{path.name} not saved: {printable(unsaved)}"
+        self.console.say(f"{type(error).__name__} in a step or update; {result}")
       raise
 
   def _check_finite(self, report: IterationReport, figures: Figures) -> None:
@@ -276,38 +277,39 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     del map_location
     file = Path(path)
     with reading("checkpoint", file):
-      return self._load(file, load_cfg, strict)
+      state = checkpoint.read_checkpoint(file, self.agent_cfg.policy)
+      wanted = [part for part in (*self.networks, "optimizer") if load_cfg is None or load_cfg.get(part)]
+      self._check(file, state, wanted)
+      worlds, infos = state.get("mjlab"), state.get("infos") or {}
+      if self.alg.load(state, load_cfg, strict):
+        # A file of rsl-rl's names the last iteration done.
+        self.current_learning_iteration = int(state["iter"]) + (0 if worlds else 1)
+      if "optimizer" in wanted and self.cfg["algorithm"].get("schedule", "fixed") == "fixed":
+        # The optimiser's state has the old step size; with a fixed schedule the configuration decides.
+        set_learning_rate(self.alg, self.cfg["algorithm"]["learning_rate"])
+      if load_cfg is None and worlds:
+        self._load_worlds(file, worlds)
+      elif load_cfg is None:
+        self.console.say(f"{path}: an rsl-rl checkpoint without world state; only the learner was restored.")
+        # Curricula of mjlab 1.x depend on it.
+        steps = (infos.get("env_state") or {}).get("common_step_counter")
+        if steps is not None and (counter := getattr(self.env.unwrapped, "common_step_counter", None)) is not None:
+          counter.fill_(steps)
+          self.console.say(f"The environment's step counter continues at {steps}.")
+      return infos
 
-  def _load(self, path: Path, load_cfg: dict[str, bool] | None, strict: bool) -> dict[str, Any]:
-    state = checkpoint.read_checkpoint(path, self.agent_cfg.policy)
-    worlds = state.get("mjlab")
-    wanted = [part for part in (*self.networks, "optimizer") if load_cfg is None or load_cfg.get(part)]
+  def _check(self, path: Path, state: Mapping[str, Any], wanted: Sequence[str]) -> None:
+    """Raise FileError unless the wanted parts of a checkpoint fit this learner."""
     if missing := [part for part in wanted if state.get(f"{part}_state_dict") is None]:
       lacks = f"no {' and no '.join(missing)} in it"
       raise FileError(f"checkpoint {path}: {lacks}; a new run can start from its policy (--init-from)")
-    for part in self.networks:
-      if part in wanted:
-        self.check_network(path, part, state[f"{part}_state_dict"], checkpoint.shapes_seen(state, part))
-        checkpoint.check_finite(path, part, state[f"{part}_state_dict"])
-    if "optimizer" in wanted:
-      problems = checkpoint.optimizer_problems(state["optimizer_state_dict"], self.alg.optimizer)
-      checkpoint.refuse(f"checkpoint {path}", problems)
-    if self.alg.load(state, load_cfg, strict):
-      # A file of rsl-rl's names the last iteration done.
-      self.current_learning_iteration = int(state["iter"]) + (0 if worlds else 1)
-    if "optimizer" in wanted and self.cfg["algorithm"].get("schedule", "fixed") == "fixed":
-      # The optimiser's state has the old step size; with a fixed schedule the configuration decides.
-      self.alg.learning_rate = self.cfg["algorithm"]["learning_rate"]
-      for group in self.alg.optimizer.param_groups:
-        group["lr"] = self.alg.learning_rate
-    if load_cfg is None and worlds:
-      self._load_worlds(worlds)
-    elif load_cfg is None:
-      steps = checkpoint.restore_step_counter(state, self.env.unwrapped)
-      counter = "" if steps is None else f" and the environment's step counter ({steps})"
-      verb = "was" if steps is None else "were"
-      self.console.say(f"{path}: an rsl-rl checkpoint without world state; only the learner{counter} {verb} restored.")
-    return state.get("infos") or {}
+    for part in wanted:
+      saved = state[f"{part}_state_dict"]
+      if part == "optimizer":
+        checkpoint.refuse(f"checkpoint {path}", checkpoint.optimizer_problems(saved, self.alg.optimizer))
+      else:
+        self.check_network(path, part, saved, checkpoint.shapes_seen(state, part))
+        checkpoint.check_finite(path, part, saved)
 
   def load_policy(self, path: Path) -> None:
     """Take only the weights of the policy in a checkpoint, of reinforcement learning or distillation.
@@ -317,23 +319,41 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
         has been changed then.
     """
     name = self.agent_cfg.policy
-    weights, shapes = checkpoint.read_policy(path, name)
-    self.check_network(path, name, weights, shapes)
+    names = dict.fromkeys((name, "actor", "student"))
+    state = checkpoint.read_checkpoint(path, *names)
+    found = next(name for name in names if f"{name}_state_dict" in state)
+    weights = state[f"{found}_state_dict"]
+    self.check_network(path, name, weights, checkpoint.shapes_seen(state, found))
     self.networks[name].load_state_dict(weights)
 
-  def check_network(self, path: Path, name: str, weights: Mapping[str, Any], shapes: checkpoint.Shapes | None) -> None:
+  def check_network(
+    self,
+    path: Path,
+    name: str,
+    weights: Mapping[str, Any],
+    shapes: checkpoint.Shapes | None,
+    network: torch.nn.Module | None = None,
+  ) -> None:
     """Compare a network of a checkpoint, and the observation shapes of its training, with one of this run.
+
+    `network` is a part of the network of this name, such as one of several teachers.
 
     Raises:
       FileError: They differ.
     """
-    groups, present = self.agent_cfg.obs_groups[name], self.networks[name].state_dict()
-    checkpoint.check_network(path, name, groups, (shapes, self._shapes_seen[name]), (weights, present))
+    present = (network or self.networks[name]).state_dict()
+    problems = [
+      *checkpoint.shape_problems(self.agent_cfg.obs_groups[name], shapes, self._shapes_seen[name]),
+      *checkpoint.network_problems(name, weights, present),
+    ]
+    fields = f"agent.{name}.hidden_dims and agent.{name}.obs_normalization"
+    hint = f". Observations, actions, {fields} must be those of its training"
+    checkpoint.refuse(f"checkpoint {path}", problems, hint)
 
-  def _load_worlds(self, state: dict[str, Any]) -> None:
+  def _load_worlds(self, path: Path, state: dict[str, Any]) -> None:
     reason = self._process.load([state, *state.get("other_ranks", [])], state["num_envs"], self.ranks)
     if reason:
-      self.console.say(f"World state was not restored: {reason}. Learner and counters were.")
+      self.console.say(f"{path}: world state was not restored: {reason}. Learner and counters were.")
     self.is_world_state_restored = not reason
     self._elapsed = state["elapsed"]
     self._total_steps = state["total_steps"]

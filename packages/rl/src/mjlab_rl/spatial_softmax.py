@@ -42,14 +42,7 @@ class SpatialSoftmaxCNNModel(ImageModel):
     cnn = CNN(input_dim=(height, width), input_channels=channels, flatten=False, **cfg)
     # Without flattening both are known; rsl-rl's types allow for either.
     size, features = cast("tuple[int, int]", cnn.output_dim), cast("int", cnn.output_channels)
-    return _Encoder(cnn, SpatialSoftmax(*size, temperature), features)
-
-
-class _Encoder(nn.Sequential):
-  """Convolutions and their spatial softmax, with the attributes that CNNModel reads."""
-
-  output_channels = None
-
-  def __init__(self, cnn: CNN, softmax: SpatialSoftmax, channels: int) -> None:
-    super().__init__(cnn, softmax)
-    self.output_dim = 2 * channels
+    encoder: Any = nn.Sequential(cnn, SpatialSoftmax(*size, temperature))
+    # CNNModel reads both.
+    encoder.output_channels, encoder.output_dim = None, 2 * features
+    return encoder

@@ -53,8 +53,7 @@ def train(
   command: list[str] | None = None,
   code: Path | None = None,
   rank_timeout: float | None = 20.0,
-  on_ready: Callable[[RlEnv, Path | None], None] | None = None,
-  watch: Callable[[RlEnv, Path | None], Callable[[], None]] | None = None,
+  on_ready: Callable[[RlEnv, Path | None], Callable[[], None] | None] | None = None,
 ) -> TrainingResult:
   """Train a task.
 
@@ -75,8 +74,8 @@ def train(
     command: Command line, for the manifest.
     code: File of the task's code; its commit goes into the manifest.
     rank_timeout: Time after which several processes end if one of them makes no progress [s]; None: never.
-    on_ready: Called with the environment and the run directory before the first iteration.
-    watch: Called with the same arguments; the function that it returns is called after every step.
+    on_ready: Called with the environment and the run directory before the first iteration. It may return a function,
+      which is called after every step.
 
   Raises:
     ConfigError: The configuration cannot be written to a manifest, or the learner cannot work.
@@ -125,9 +124,7 @@ def train(
     runner.log_dir = ranks.gather(directory)[0]
     runner.patience.seconds = rank_timeout
     if on_ready is not None:
-      on_ready(env, directory)
-    if watch is not None:
-      runner.after_step = watch(env, directory)
+      runner.after_step = on_ready(env, directory)
     runner.learn(remaining, init_at_random_ep_len=not runner.is_world_state_restored)
     return TrainingResult(
       directory=directory,

@@ -5,6 +5,7 @@ import random
 import shutil
 import socket
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -160,12 +161,13 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
   console, reports = Console("quiet"), _Reports()
   console.on_report.append(reports.keep)
 
-  def on_ready(env: Any, directory: Path | None) -> None:
+  def on_ready(env: Any, directory: Path | None) -> Callable[[], None]:
     reports.directory = directory
     for name in wanted.space.perturb:
       if name.startswith("env.rewards."):
         # The restored worlds have the weights of the trial that they come from.
         env.reward_manager.weight(name.split(".")[2].replace("-", "_")).fill_(float(values[name]))
+    return reports.send
 
   with tempfile.TemporaryDirectory() as place:
     resume = None
@@ -185,7 +187,6 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
       resume=resume,
       console=console,
       on_ready=on_ready,
-      watch=lambda env, directory: reports.send,
     )
     reports.send()
 

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import shlex
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -191,7 +192,7 @@ def _run(
 
   is_built = False
 
-  def on_ready(env: "RlEnv", directory: Path | None) -> None:
+  def on_ready(env: "RlEnv", directory: Path | None) -> Callable[[], None] | None:
     nonlocal is_built
     is_built = True
     console.say(_environment_line(env))
@@ -199,6 +200,7 @@ def _run(
     if console.is_verbose and (describe := getattr(env, "describe", None)) is not None:
       console.say(describe())
     console.say(f"run directory {directory}")
+    return watch(env, directory) if is_watched and (wanted.viewer or wanted.video) else None
 
   try:
     result = train(
@@ -210,7 +212,6 @@ def _run(
       # A viewer can pause the training.
       rank_timeout=None if wanted.viewer else wanted.rank_timeout or None,
       on_ready=on_ready,
-      watch=watch if is_watched and (wanted.viewer or wanted.video) else None,
       **options,
     )
   except Exception as error:

@@ -155,11 +155,10 @@ class OffPolicyAlgorithm(ABC):
   def _share_statistics(self) -> None:
     """Give the batch normalisations of all processes the means of their statistics."""
     if distributed.is_initialized():
-      networks = (self.actor, self.critic, *self.modules.values())
-      layers = [layer for network in networks for layer in network.modules() if isinstance(layer, BatchNorm1d)]
-      parts = [part for layer in layers for part in (layer.running_mean, layer.running_var) if part is not None]
-      for part, mean in zip(parts, averaged(parts), strict=True):
-        part.copy_(mean)
+      layers = [layer for part in self._parts for layer in part.modules() if isinstance(layer, BatchNorm1d)]
+      values = [value for layer in layers for value in (layer.running_mean, layer.running_var) if value is not None]
+      for value, mean in zip(values, averaged(values), strict=True):
+        value.copy_(mean)
 
   def sample(self) -> Transitions:
     """Draw a batch, with mirror images after it, and rewards in the scale of the critic."""
@@ -178,9 +177,7 @@ class OffPolicyAlgorithm(ABC):
 
   def step(self, loss: torch.Tensor, parameters: Sequence[torch.Tensor]) -> None:
     """Step these parameters along the gradient of a loss, averaged over all processes."""
-    gradients = torch.autograd.grad(loss, parameters)
-    if distributed.is_initialized():
-      gradients = averaged(gradients)
+    gradients = averaged(torch.autograd.grad(loss, parameters))
     for parameter, gradient in zip(parameters, gradients, strict=True):
       parameter.grad = gradient
     self.optimizer.step()
@@ -202,6 +199,10 @@ class OffPolicyAlgorithm(ABC):
     self._lr.fill_(self.learning_rate)
 
   # State, under the names of rsl-rl's algorithms.
+
+  @property
+  def _parts(self) -> list[torch.nn.Module]:
+    return [self.actor, self.critic, *self.modules.values()]
 
   @property
   def worlds(self) -> dict[str, torch.Tensor]:
@@ -261,15 +262,15 @@ class OffPolicyAlgorithm(ABC):
 
   def broadcast_parameters(self) -> None:
     """Give all processes the networks of the first."""
-    for module in (self.actor, self.critic, *self.modules.values()):
-      for value in module.state_dict().values():
+    for part in self._parts:
+      for value in part.state_dict().values():
         distributed.broadcast(value, src=0)
 
 
-def averaged(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+def averaged(tensors: Sequence[torch.Tensor]) -> Sequence[torch.Tensor]:
   """Return the means of tensors over all processes, with one message."""
-  if not tensors:
-    return []
+  if not tensors or not distributed.is_initialized():
+    return tensors
   flat = torch.cat([tensor.flatten() for tensor in tensors])
   distributed.all_reduce(flat)
   parts = (flat / distributed.get_world_size()).split([tensor.numel() for tensor in tensors])

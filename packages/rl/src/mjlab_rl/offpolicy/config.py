@@ -5,10 +5,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from mjlab_core.config import Config
 from mjlab_core.constraints import Finite, Limits, NonNegative, Positive, PositiveCount, Share
 
-from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlModelCfg
+from mjlab_rl.config import LearnerPart, RslRlBaseRunnerCfg, RslRlModelCfg
 from mjlab_rl.network_entries import Activation
 
 
@@ -35,7 +34,7 @@ class OffPolicyModelCfg(RslRlModelCfg):
 
 
 @dataclass(kw_only=True)
-class SacCfg(Config):
+class SacCfg(LearnerPart):
   """Soft actor-critic (Haarnoja et al. 2018, arXiv:1812.05905) for thousands of worlds.
 
   The defaults are the settings of FastSAC (Seo et al. 2025, arXiv:2512.01996).
@@ -97,6 +96,9 @@ class SacCfg(Config):
   class_name: str = "mjlab_rl.offpolicy.sac:Sac"
   """Class of the algorithm, "module:Class"."""
 
+  def to_rsl_rl(self) -> dict[str, Any]:
+    return {"class_name": self.class_name, "cfg": copy.deepcopy(self), "schedule": "own"}
+
 
 def bounded_gaussian(log_std_range: tuple[float, float]) -> dict[str, Any]:
   """Return the `distribution_cfg` of a policy, with the range of the logarithm of the deviation before tanh."""
@@ -136,15 +138,6 @@ class OffPolicyRunnerCfg(RslRlBaseRunnerCfg):
     algorithm = self.algorithm
     if algorithm.replay_steps < algorithm.n_step + 3:
       yield f"agent.algorithm.replay_steps must be n_step + 3 = {algorithm.n_step + 3} or more"
-
-  def to_rsl_rl(self) -> dict[str, Any]:
-    config = super().to_rsl_rl()
-    return config | {
-      "max_iterations": self.max_iterations,
-      "actor": self.actor.to_rsl_rl(),
-      "critic": self.critic.to_rsl_rl(),
-      "algorithm": {"class_name": self.algorithm.class_name, "cfg": copy.deepcopy(self.algorithm), "schedule": "own"},
-    }
 
   def prepare_env(self, cfg: Any) -> None:
     """Ask an environment configuration for the last observations of episodes."""

@@ -82,6 +82,12 @@ class TanhGaussian(Distribution):
   def deterministic_output(self, mlp_output: torch.Tensor) -> torch.Tensor:
     return torch.tanh(mlp_output[..., 0, :]) * self.bound
 
+  forward = deterministic_output
+
+  def as_deterministic_output_module(self) -> nn.Module:
+    """Return a copy, which an exported network calls."""
+    return copy.deepcopy(self)
+
   @property
   def input_dim(self) -> list[int]:
     return [2, self.output_dim]
@@ -130,27 +136,6 @@ class Actor(_Model):
   def output(self, obs: torch.Tensor) -> torch.Tensor:
     """Return the input of the distribution, (batch, 2, num_actions)."""
     return self.mlp(self.obs_normalizer(obs))
-
-  def as_onnx(self, verbose: bool = False) -> nn.Module:
-    """Return a copy for ONNX with the same names of parameters."""
-    return _OnnxActor(self)
-
-
-class _OnnxActor(nn.Module):
-  is_recurrent = False
-
-  def __init__(self, actor: Actor) -> None:
-    super().__init__()
-    self.obs_normalizer = copy.deepcopy(actor.obs_normalizer)
-    self.mlp, self.distribution = copy.deepcopy(actor.mlp), copy.deepcopy(actor.squash)
-    self.input_names, self.output_names = ["obs"], ["actions"]
-    self._width = actor.obs_dim
-
-  def forward(self, obs: torch.Tensor) -> torch.Tensor:
-    return self.distribution.deterministic_output(self.mlp(self.obs_normalizer(obs)))
-
-  def get_dummy_inputs(self) -> tuple[torch.Tensor, ...]:
-    return (torch.zeros(1, self._width),)
 
 
 class Critic(_Model):

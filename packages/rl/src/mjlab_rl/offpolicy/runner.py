@@ -1,7 +1,7 @@
 """Training loop of off-policy learners."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -58,7 +58,7 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
 
   def __init__(self, *args: Any, **options: Any) -> None:
     super().__init__(*args, **options)
-    self._spans: list[Callable[[], float]] = []
+    self._spans: list[tuple[Any, Any]] = []
     replay, cfg = self.algorithm.replay, self.agent_cfg.algorithm
     saved = "saved with checkpoints" if self.agent_cfg.save_replay else "not saved"
     self.console.say(
@@ -74,28 +74,26 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
   def _collect(self, obs: TensorDict) -> TensorDict:
     self._spans.clear()
     obs = super()._collect(obs)
-    self._updating = sum(span() for span in self._spans)
+    self._updating = sum(
+      end - start if isinstance(start, float) else start.elapsed_time(end) / 1e3 for start, end in self._spans
+    )
     return obs
 
   def _step(self, obs: TensorDict) -> tuple[TensorDict, torch.Tensor, torch.Tensor]:
     obs, rewards, dones = self.algorithm.collect(self.env, obs)
     with self._update_precision():
-      self._time(self.algorithm.update)
+      start = self._clock()
+      self.algorithm.update()
+      self._spans.append((start, self._clock()))
     return obs, rewards, dones
 
-  def _time(self, update: Callable[[], None]) -> None:
-    """Call a function, and keep a function that returns its time [s] after a synchronisation."""
+  def _clock(self) -> Any:
+    """Return the present time [s], on a GPU as an event, which can be read after a synchronisation."""
     if self._torch_device.type != "cuda":
-      start = time.perf_counter()
-      update()
-      duration = time.perf_counter() - start
-      self._spans.append(lambda: duration)
-      return
-    events = [torch.cuda.Event(enable_timing=True) for _ in range(2)]
-    events[0].record()
-    update()
-    events[1].record()
-    self._spans.append(lambda: events[0].elapsed_time(events[1]) / 1e3)
+      return time.perf_counter()
+    event = torch.cuda.Event(enable_timing=True)
+    event.record()
+    return event
 
   def _update(self, obs: TensorDict) -> dict[str, float]:
     del obs
@@ -118,22 +116,21 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
     """Name of the file of this process."""
     return REPLAY_NAME if self.ranks.is_first else f"replay_{self.ranks.rank}.pt"
 
-  def _load(self, path: Path, load_cfg: dict[str, bool] | None, strict: bool) -> dict[str, Any]:
-    self._check_algorithm(path)
-    infos = super()._load(path, load_cfg, strict)
-    if load_cfg is None and not self._load_replay(path):
+  def _check(self, path: Path, state: Mapping[str, Any], wanted: Sequence[str]) -> None:
+    algorithm = state.get("algorithm_state_dict")
+    if algorithm is None:
+      raise FileError(f"checkpoint {path}: it is not of an off-policy run; --init-from takes its policy alone")
+    msgspec.convert(algorithm, _State, dec_hook=checkpoint.as_tensor)
+    for name, part in self.algorithm.modules.items():
+      problems = checkpoint.network_problems(name, algorithm["modules"].get(name, {}), part.state_dict())
+      checkpoint.refuse(f"checkpoint {path}", problems)
+    super()._check(path, state, wanted)
+
+  def _load_worlds(self, path: Path, state: dict[str, Any]) -> None:
+    super()._load_worlds(path, state)
+    if not self._load_replay(path):
       steps = max(self.agent_cfg.algorithm.learning_starts, self.agent_cfg.algorithm.n_step)
       self.console.say(f"The replay memory is new; updates begin again after {steps} steps.")
-    return infos
-
-  def _check_algorithm(self, path: Path) -> None:
-    state = checkpoint.read_checkpoint(path, self.agent_cfg.policy).get("algorithm_state_dict")
-    if state is None:
-      raise FileError(f"checkpoint {path}: it is not of an off-policy run; --init-from takes its policy alone")
-    msgspec.convert(state, _State, dec_hook=checkpoint.as_tensor)
-    for name, part in self.algorithm.modules.items():
-      problems = checkpoint.network_problems(name, state["modules"].get(name, {}), part.state_dict())
-      checkpoint.refuse(f"checkpoint {path}", problems)
 
   def _load_replay(self, checkpoint_path: Path) -> bool:
     """Restore the replay memory if the one of this checkpoint is there and fits; return True then."""
