@@ -184,18 +184,18 @@ def test_derived_fields_are_recomputed_once_for_all_and_only_where_needed(sim: F
 
 
 def test_an_entity_gives_its_own_names_and_ids(sim: FakeSim) -> None:
-  term = RandomizeField(geom_friction("f2|f3", (0.3, 0.4)), sim, names=["f3", "f2"], ids=[4, 2], owner="event 'foot'")
+  term = RandomizeField(geom_friction("f2|f3", (0.3, 0.4)), sim, elements={"f3": 4, "f2": 2}, owner="event 'foot'")
   term.apply(torch.ones(N, dtype=torch.bool))
   touched = (sim.model.geom_friction != sim.default_field("geom_friction")).nonzero()[:, 1].unique()
   assert touched.tolist() == [2, 4]
   with pytest.raises(ValueError, match="event 'foot': geom_friction: pattern 'f9' matches no geom"):
-    RandomizeField(geom_friction("f9", (0.3, 0.4)), sim, names=["f3"], ids=[4], owner="event 'foot'")
+    RandomizeField(geom_friction("f9", (0.3, 0.4)), sim, elements={"f3": 4}, owner="event 'foot'")
 
 
 def test_a_field_outside_of_the_model_is_written_to_its_target(sim: FakeSim) -> None:
   bias = torch.zeros(N, 2)
   cfg = encoder_bias("k", (0.01, 0.02))
-  RandomizeField(cfg, sim, names=["j", "k"], target=bias).apply(torch.arange(N) < 3)
+  RandomizeField(cfg, sim, elements={"j": 0, "k": 1}, target=bias).apply(torch.arange(N) < 3)
   assert (bias[:3, 1] >= 0.01).all()
   assert bias[:, 0].abs().sum() == bias[3:].abs().sum() == 0.0
 

@@ -83,7 +83,7 @@ def test_draws_have_the_asked_distribution_in_every_world_and_the_rest_is_bit_id
         assert stats.kstest(np.unique(sample), stats.uniform(lo, hi - lo).cdf).pvalue > 1e-3, field.axes[axis]
   # Elements without effect keep every bit; in eq_data, the rest follows from what was written.
   once = Randomization(mujoco.MjModel.from_xml_string(EVERYTHING), [cfg], seed=0)
-  written = {key for term in once._terms for key in term.written()}
+  written = {key for term in once._terms for key in term.claims}
   for part in set(written_by(name)) - {"eq_data"}:
     flat, default = fields[part].reshape(WORLDS, -1), torch.tensor(compiled(part)).flatten()
     others = [i for i in range(flat.shape[1]) if (part, i) not in written]

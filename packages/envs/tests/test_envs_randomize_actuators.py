@@ -290,7 +290,6 @@ SOME = (0.8, 1.2)
     ("stifness", SOME, {}, "field 'stifness' does not exist. Nearest: stiffness"),
     ("stiffness", (1.2, 0.8), {}, r"stiffness.* must not fall, got \(1.2, 0.8\)"),
     ("stiffness", 0.8, {}, r"0\.8 is neither two numbers, \(lo, hi\), nor a distribution"),
-    ("stiffness", (-0.1, 0.8), {}, "may fall below the physical minimum 0"),
     ("stiffness", SOME, {"operation": "multiply"}, "operation 'multiply' does not exist. .*scale"),
     ("stiffness", SOME, {"targets": "elbow"}, "pattern 'elbow' matches no driven joint"),
     ("stiffness", SOME, {"targets": "motor"}, "stiffness of joint 'motor': its actuator has none"),
@@ -308,6 +307,11 @@ def test_what_would_have_no_effect_is_refused_by_name_at_build(
 ) -> None:
   with pytest.raises(MjlabError, match=message):
     make(arm_cfg(late("motor", (1, 3)), late("pd", (2, 2)), event=drawn(parameter, values, **options)))
+
+
+def test_a_gain_that_may_become_negative_is_refused_at_build(make: Make) -> None:
+  with pytest.raises(MjlabError, match=r"'pd' may get stiffness -.*, below the physical minimum 0"):
+    make(arm_cfg(LAWS["pd"], event=drawn("stiffness", (-0.1, 0.8), targets="pd")))
 
 
 def test_two_events_for_one_number_are_refused(make: Make) -> None:

@@ -18,7 +18,7 @@ from mjlab_dr.binding import (
   with_effect,
   with_ids,
 )
-from mjlab_dr.catalogue import FIELDS, needs_constants
+from mjlab_dr.catalogue import needs_constants
 from mjlab_dr.distributions import Distribution, joint_sampler
 from mjlab_dr.inertia import perturb_inertia
 from mjlab_dr.randomizers import FieldRandomizer
@@ -61,8 +61,8 @@ class RandomizeField:
     cfg: the randomiser.
     sim: the model fields of the worlds.
     generator: source of the draws, on the device of `sim`; None is torch's global one.
-    names: names to match the pattern against; None is all elements of the model with this field.
-    ids: the element of the model, or the column of `target`, behind each of `names`; None counts from 0.
+    elements: id in the model, or column of `target`, of each element to match the pattern against, by name; None is
+      all elements of the model with this field.
     target: for fields that MjModel does not have: the tensor (num_envs, ...) to write, in fixed memory, or a quantity,
       all elements of which are drawn.
     prefix: prefix that names of materials and textures may omit.
@@ -79,27 +79,26 @@ class RandomizeField:
     sim: ModelFields,
     *,
     generator: torch.Generator | None = None,
-    names: Sequence[str] | None = None,
-    ids: Sequence[int] | None = None,
+    elements: Mapping[str, int] | None = None,
     target: Tensor | Quantity | None = None,
     prefix: str = "",
-    earlier: Container[tuple[str, int]] = (),
+    earlier: Container[tuple[str, Hashable]] = (),
     owner: str = "",
   ) -> None:
     self.cfg, self.needs_constants = cfg, needs_constants(cfg.field)
-    self._form, self._sim, self._generator = FIELDS[cfg.field].form, sim, generator
+    self._form, self._sim, self._generator = cfg.row.form, sim, generator
     self._target = target
     self._quantity = None if isinstance(target, Tensor) else target
     owner = f"{owner}: {cfg.field}" if owner else cfg.field
     model = sim.mj_model
     if self._quantity is None:
-      elements = matched(cfg, model, names, ids, owner)
       defaults = self._default_rows(cfg.shown_in).cpu().numpy()
+      elements = matched(cfg, model, elements, owner)
       elements, idle = with_effect(cfg, model, elements, defaults, earlier, in_model=target is None, owner=owner)
     else:
       # A quantity checks its values itself, and takes all of them.
-      elements, idle = [(name, i) for i, name in enumerate(self._quantity.names)], ()
-    self.element_names = tuple(name for name, _ in elements)
+      elements, idle = {name: i for i, name in enumerate(self._quantity.names)}, ()
+    self.element_names = tuple(elements)
     """Names of the elements that it changes."""
     self.components = components_of(cfg, model, elements, idle)
     """All numbers that it writes, in the order of its fields."""
@@ -112,10 +111,10 @@ class RandomizeField:
       raise MjlabError(f"{owner}: {problem}")
     self._prepare_draws(distributions)
 
-  def _find_columns(self, earlier: Container[tuple[str, int]]) -> None:
+  def _find_columns(self, earlier: Container[tuple[str, Hashable]]) -> None:
     """Find the columns of each field that are written, and of the one that moves along; expand fields of the model."""
     sim, target, fields = self._sim, self._target, list(dict.fromkeys(component.field for component in self.components))
-    follower = FIELDS[self.cfg.field].moves_with
+    follower = self.cfg.row.moves_with
     if target is None:
       sim.expand_model_fields((*fields, follower) if follower else fields)
 
@@ -126,7 +125,7 @@ class RandomizeField:
 
       flat = [column for component in components for column in component.columns]
       is_written = [(field, column) in earlier for column in flat]
-      return _Columns(rows, flat, self._default_rows(field), sim.num_envs, is_written)
+      return _Columns(rows, flat, self._default_rows(field), is_written)
 
     self._writes: list[Quantity | _Columns]
     if self._quantity is None:
@@ -140,8 +139,6 @@ class RandomizeField:
 
   def _default_rows(self, field: str) -> Tensor:
     """Return the values of a field to start from, (1 or num_envs, number of columns)."""
-    if self._quantity is not None:
-      return self._quantity.default
     # A view, through which later values of each world are seen.
     target = self._target
     default = torch.zeros_like(target[:1]) if isinstance(target, Tensor) else self._sim.default_field(field)
@@ -154,10 +151,10 @@ class RandomizeField:
     self._sample = joint_sampler(
       distributions[:1] if cfg.isotropic else distributions, device=device, dtype=self._dtype
     )
-    axes, every = list(cfg.values), range(len(FIELDS[cfg.field].axes))
-    places = [axes.index(axis) if axis in axes else len(axes) + axis for axis in every]
-    self._places = None if places == list(every) else torch.tensor(places, device=device)
-    """Index of each axis among those drawn, followed by all; None if all are drawn, in order."""
+    axes = list(cfg.values)
+    # Draws of all axes, in order, are used as they are.
+    is_whole = axes == list(range(len(cfg.row.axes)))
+    self._places = None if is_whole else torch.tensor(axes, device=device)
     self._shape = (self._sim.num_envs, 1 if cfg.shared else len(self.element_names))
     self._full = (self._sim.num_envs, len(self.element_names), len(axes))
     sources = [component.source for component in self.components for _ in component.columns]
@@ -184,7 +181,7 @@ class RandomizeField:
     Raises:
       MjlabError: the field is a choice.
     """
-    if FIELDS[self.cfg.field].integer:
+    if self.cfg.row.integer:
       raise MjlabError(f"{self.cfg.label}: it is a choice, which cannot be widened.")
     if self._strength is None:
       self._strength = torch.ones((), device=self._sim.device, dtype=self._dtype)
@@ -212,19 +209,16 @@ class RandomizeField:
     """Return the present values, (num_envs, number of `components`), in new memory."""
     return torch.cat([write.values() for write in self._writes], -1).to(self._dtype)[:, self._first]
 
-  def written(self) -> dict[tuple[str, int], str]:
-    """Return the element of every number that it writes, by field and column."""
-    along = FIELDS[self.cfg.field].moves_with
-    written = [(field, c) for c in self.components for field in (c.field, along) if field]
-    return {(field, column): c.element for field, c in written for column in c.columns}
-
   @property
   def claims(self) -> dict[tuple[str, Hashable], str]:
     """Descriptions of the numbers that it writes, by field and column or element."""
     if self._quantity is not None:
       return dict(self._quantity.claims)
-    kind = FIELDS[self.cfg.field].kind
-    return {key: f"{key[0]} of {kind} '{element}'" for key, element in self.written().items()}
+    row, claims = self.cfg.row, dict[tuple[str, Hashable], str]()
+    for c in self.components:
+      for field in filter(None, (c.field, row.moves_with)):
+        claims |= {(field, column): f"{field} of {row.kind} '{c.element}'" for column in c.columns}
+    return claims
 
   def _start(self, write: Quantity | _Columns) -> Tensor:
     return write.start() if isinstance(write, _Columns) else write.default
@@ -240,12 +234,14 @@ class RandomizeField:
     by_element = [start.unflatten(1, (len(self.element_names), -1)) for start in starts]
     default = by_element[0]
     if self._form in ("direction", "intrinsics"):
-      neutral = {"absolute": default, "add": 0.0, "scale": 1.0}[self.cfg.operation]
+      operation = self.cfg.operation
+      neutral = default if operation == "absolute" else torch.full_like(default, float(operation == "scale"))
       vector = self._combined(default, self._on_all_axes(draw, neutral))
       if self._form == "direction":
         return [normalize(vector).flatten(1)]
       return [vector.flatten(1), torch.rad2deg(2.0 * torch.atan(self._half_heights / vector[..., 1]))]
-    draw = self._on_all_axes(draw if self._strength is None else draw * self._strength, 0.0)
+    draw = draw if self._strength is None else draw * self._strength
+    draw = self._on_all_axes(draw, draw.new_zeros(1, 1, len(self.cfg.row.axes)))
     if self._form == "rotation":
       turn = quat_from_euler_xyz(*draw.unbind(-1))
       return [quat_mul(turn, default.expand_as(turn)).flatten(1)]
@@ -260,13 +256,11 @@ class RandomizeField:
       draw = default * draw
     return draw if self._strength is None else torch.lerp(default.expand_as(draw), draw, self._strength)
 
-  def _on_all_axes(self, draw: Tensor, otherwise: Tensor | float) -> Tensor:
+  def _on_all_axes(self, draw: Tensor, otherwise: Tensor) -> Tensor:
     """Return draws on the axes that are drawn, and `otherwise` on the others, (num_envs, elements, all axes)."""
     if self._places is None:
       return draw
-    if not isinstance(otherwise, Tensor):
-      otherwise = draw.new_full((1, 1, len(self._places)), otherwise)
-    return torch.cat((draw, otherwise.expand(*draw.shape[:2], -1)), -1).index_select(-1, self._places)
+    return otherwise.to(draw.dtype).expand(*draw.shape[:2], -1).index_copy(-1, self._places, draw)
 
 
 class _Columns:
@@ -276,24 +270,18 @@ class _Columns:
     rows: function that returns the present rows, (num_envs, ...), a view.
     columns: the columns, with repetitions where several belong to one component.
     default: rows to start from, (1 or num_envs, ...).
-    num_envs: number of worlds.
     is_written: True for the columns that an earlier randomiser writes.
   """
 
   def __init__(
-    self,
-    rows: Callable[[], Tensor],
-    columns: Sequence[int],
-    default: Tensor,
-    num_envs: int,
-    is_written: Sequence[bool],
+    self, rows: Callable[[], Tensor], columns: Sequence[int], default: Tensor, is_written: Sequence[bool]
   ) -> None:
     self._rows, self._default_rows = rows, default
     self._all = torch.tensor(columns, device=default.device)
     self._slice = as_slice(columns, spaced=True)
     self._is_written = torch.tensor(is_written, device=default.device) if any(is_written) else None
     # Values per world change when a state of other worlds is loaded, so they are looked up every time.
-    self._constant = None if len(default) == num_envs else default.index_select(1, self._all)
+    self._constant = default.index_select(1, self._all) if len(default) < len(rows()) else None
 
   @property
   def default(self) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -13,13 +13,13 @@ import numpy as np
 from mjlab_core import MjlabError, UnknownNameError, match_names, unknown
 
 from mjlab_dr.catalogue import FIELDS, written_fields
-from mjlab_dr.distributions import Categorical, Distribution
+from mjlab_dr.distributions import Categorical, Distribution, Gaussian
 from mjlab_dr.effect import SIMPLE, idle
-from mjlab_dr.fields import count, element_names, rows
+from mjlab_dr.fields import element_names, rows
 from mjlab_dr.randomizers import FieldRandomizer
 
-Elements = list[tuple[str, int]]
-"""Names of elements, and their ids in the model or columns in a quantity outside of it."""
+Elements = Mapping[str, int]
+"""Ids of elements in the model, or columns in a quantity outside of it, by name."""
 Spans = dict[str, tuple[float, float]]
 """Lowest and highest value by axis."""
 
@@ -42,28 +42,18 @@ class Component:
   """Index of its draw, element by element and axis by axis; -1 if it follows from several."""
 
 
-def matched(
-  cfg: FieldRandomizer, model: mujoco.MjModel, names: Sequence[str] | None, ids: Sequence[int] | None, owner: str
-) -> Elements:
-  """Return the elements that the pattern of a randomiser matches.
-
-  Args:
-    cfg: the randomiser.
-    model: the compiled model.
-    names: names to match the pattern against; None is all of the model.
-    ids: the id behind each of `names`; None counts from 0.
-    owner: name of the owner in messages.
+def matched(cfg: FieldRandomizer, model: mujoco.MjModel, known: Elements | None, owner: str) -> Elements:
+  """Return the elements among the known ones, by default all of the model, that the pattern of a randomiser matches.
 
   Raises:
-    MjlabError: nothing matches.
+    MjlabError: nothing matches; the message begins with `owner`.
   """
-  kind = FIELDS[cfg.field].kind
-  if names is None:
+  kind = cfg.row.kind
+  if known is None:
     # The world does not move.
-    ids = range(1 if kind == "body" else 0, count(model, kind))
-    names = element_names(model, kind)[ids.start :]
-  ids = range(len(names)) if ids is None else ids
-  return [(names[i], int(ids[i])) for i in match_names(cfg.pattern, names, what=kind, owner=owner)[0]]
+    known = {name: i for i, name in enumerate(element_names(model, kind)) if (kind, i) != ("body", 0)}
+  _, names = match_names(cfg.pattern, list(known), what=kind, owner=owner)
+  return {name: known[name] for name in names}
 
 
 def with_effect(
@@ -71,7 +61,7 @@ def with_effect(
   model: mujoco.MjModel,
   elements: Elements,
   defaults: np.ndarray,
-  earlier: Container[tuple[str, int]],
+  earlier: Container[tuple[str, Hashable]],
   *,
   in_model: bool,
   owner: str,
@@ -90,14 +80,8 @@ def with_effect(
   Raises:
     MjlabError: a change of a chosen axis, or of every axis, has no effect in all elements that a pattern matches.
   """
-  field, axes, ids = FIELDS[cfg.field], list(cfg.values), [i for _, i in elements]
-  reasons: dict[tuple[int, int], str] = {}
-  if in_model:
-    whole = idle(model, cfg.field, ids)
-    live = [i for i in ids if i not in whole]
-    for axis in axes:
-      found = whole | idle(model, cfg.field, live, axis)
-      reasons |= {(i, axis): reason for i, reason in found.items()}
+  field, axes, ids = cfg.row, list(cfg.values), list(elements.values())
+  reasons = idle(model, cfg.field, ids, axes) if in_model else {}
   if cfg.operation == "scale":
     for i, axis in product(ids, axes):
       columns = [row * field.width + axis for row in rows(model, field, i)]
@@ -105,7 +89,7 @@ def with_effect(
       if not (is_written or defaults[:, columns].any()):
         reasons.setdefault((i, axis), "is zero, as is every multiple")
   for pattern in cfg.patterns:
-    matches = [(name, i) for name, i in elements if re.fullmatch(pattern, name)]
+    matches = [(name, i) for name, i in elements.items() if re.fullmatch(pattern, name)]
     for group in [axes] if cfg.every_axis else [[axis] for axis in axes]:
       if all(number in reasons for number in product([i for _, i in matches], group)):
         (name, i), axis = matches[0], group[0]
@@ -113,18 +97,19 @@ def with_effect(
         what = f"a change of {which}{field.kind} {name!r} would do nothing, for it {reasons[i, axis]}."
         others = f" Nor would one of the {len(matches) - 1} others that match {pattern!r}." if len(matches) > 1 else ""
         raise UnknownNameError(f"{owner}: {what}{others}")
-  if simple := {name for name, i in elements for axis in axes if SIMPLE in reasons.get((i, axis), "")}:
+  if simple := {name for name, i in elements.items() for axis in axes if SIMPLE in reasons.get((i, axis), "")}:
     warnings.warn(f"{owner}: {', '.join(map(repr, sorted(simple)))} left out: {SIMPLE}", stacklevel=4)
   # The inertia of a body is written as a whole.
   is_out = any if field.form == "pseudo_inertia" else all
-  return [(name, i) for name, i in elements if not is_out((i, axis) in reasons for axis in axes)], reasons
+  kept = {name: i for name, i in elements.items() if not is_out((i, axis) in reasons for axis in axes)}
+  return kept, reasons
 
 
 def components_of(
   cfg: FieldRandomizer, model: mujoco.MjModel, elements: Elements, idle_numbers: Container[tuple[int, int]]
 ) -> tuple[Component, ...]:
   """Return all numbers that a randomiser writes, in the order of its fields; those without effect are left out."""
-  field = FIELDS[cfg.field]
+  field = cfg.row
   # Column in a row, name, and place among the draws of an element, of the numbers that are written in each field.
   numbers: dict[str, list[tuple[int, str, int | None]]]
   if field.form == "plain":
@@ -132,8 +117,10 @@ def components_of(
   elif field.form == "servo":
     numbers = {"actuator_gainprm": [(0, "kp", 0)], "actuator_biasprm": [(1, "kp", 0)]}
   else:
+    written = {name: FIELDS[name] for name in written_fields(cfg.field)}
     numbers = {
-      name: [(k, axis, None) for k, axis in enumerate(_number_names(name))] for name in written_fields(cfg.field)
+      name: [(k, axis, None) for k, axis in enumerate("wxyz" if part.form == "rotation" else part.axes)]
+      for name, part in written.items()
     }
   return tuple(
     Component(
@@ -145,16 +132,11 @@ def components_of(
       source=-1 if place is None else e * len(cfg.values) + place,
     )
     for name, of_field in numbers.items()
-    for e, (element, i) in enumerate(elements)
+    for e, (element, i) in enumerate(elements.items())
     for at in [rows(model, field, i)]
     for column, axis, place in of_field
     if field.form != "plain" or (i, column) not in idle_numbers
   )
-
-
-def _number_names(name: str) -> tuple[str, ...]:
-  """Return the names of the numbers of one element of a field."""
-  return ("w", "x", "y", "z") if FIELDS[name].form == "rotation" else FIELDS[name].axes
 
 
 def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: str) -> list[Distribution]:
@@ -163,7 +145,7 @@ def with_ids(cfg: FieldRandomizer, model: mujoco.MjModel, owner: str, prefix: st
   Raises:
     MjlabError: a name that does not exist, or a number that is not an id.
   """
-  field = FIELDS[cfg.field]
+  field = cfg.row
   known = element_names(model, field.names) if field.names else []
 
   def find(name: str) -> int:
@@ -191,19 +173,18 @@ def result_problems(
 
   `defaults` has a row for each world, or one for all, and a number for each component.
   """
-  field, distributions = FIELDS[cfg.field], list(cfg.values.values())
-  if field.form not in ("plain", "servo") or field.integer:
-    return
+  field = cfg.row
+  drawn = {field.axes[axis]: (distribution, *field.bounds(axis)) for axis, distribution in cfg.values.items()}
   spans: dict[tuple[str, int], Spans] = {}
   for component, start in zip(components, defaults.T, strict=True):
-    if component.field != cfg.shown_in:
+    if component.field != cfg.shown_in or component.axis not in drawn:
       continue
-    minimum, maximum = field.bounds(field.axes.index(component.axis))
+    distribution, minimum, maximum = drawn[component.axis]
     # Worlds without the element have it out of bounds, so that nothing meets it.
     start = start[start >= minimum, None]
     if not len(start):
       continue
-    results = np.array(distributions[component.source % len(distributions)].support())
+    results = np.array(distribution.support())
     if cfg.operation == "add":
       results = start + results
     elif cfg.operation == "scale":
@@ -213,10 +194,11 @@ def result_problems(
     # A scaled zero stays one, as compiled.
     is_kept = cfg.operation == "scale" and start.min() == 0.0
     what = f"{field.kind} {component.element!r} may get {component.axis or cfg.field}"
+    hint = " Truncate the Gaussian with lo and hi." if isinstance(distribution, Gaussian) else ""
     if lo < minimum or (field.positive and lo == minimum and not is_kept):
-      yield f"{what} {lo:g}, below the physical minimum {minimum:g}."
+      yield f"{what} {lo:g}, {'at' if lo == minimum else 'below'} the physical minimum {minimum:g}.{hint}"
     if hi > maximum:
-      yield f"{what} {hi:g}, above the physical maximum {maximum:g}."
+      yield f"{what} {hi:g}, above the physical maximum {maximum:g}.{hint}"
   if not (field.ordered or cfg.field in ("body_inertia", "actuator_delay") or "timeconst" in field.axes):
     return
   for (element, row), span in spans.items():
@@ -228,7 +210,7 @@ def result_problems(
 
 def _impossible_together(cfg: FieldRandomizer, spans: Spans, model: mujoco.MjModel, row: int) -> Iterator[str]:
   """Yield why the numbers of one element do not fit together."""
-  field = FIELDS[cfg.field]
+  field = cfg.row
   if field.ordered and not cfg.isotropic and spans["lower"][1] > spans["upper"][0]:
     yield (
       f"a lower bound of {spans['lower'][1]:g} with an upper bound of {spans['upper'][0]:g}. "

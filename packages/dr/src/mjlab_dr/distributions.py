@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from itertools import accumulate
-from numbers import Real
 from typing import Annotated, Any, ClassVar, Protocol, Unpack
 
 import torch
@@ -62,7 +61,7 @@ class _Bounded:
 
   def support(self) -> tuple[float, float]:
     """Return (lo, hi)."""
-    lo, hi = (getattr(self, f.name) for f in fields(self)[-2:])
+    lo, hi = astuple(self)[-2:]
     return lo, hi
 
 
@@ -72,12 +71,9 @@ class _Parametric(_Bounded):
 
   _draw: ClassVar[Callable[..., Tensor]]
 
-  def parameters(self) -> tuple[float, ...]:
-    return tuple(getattr(self, f.name) for f in fields(self))
-
   def sample(self, shape: Sequence[int], **options: Unpack[Options]) -> Tensor:
     """Return independent draws of this shape."""
-    return type(self)._draw(*self.parameters(), shape, **options)
+    return type(self)._draw(*astuple(self), shape, **options)
 
 
 @dataclass(frozen=True)
@@ -181,20 +177,6 @@ class Custom(_Bounded):
     return self.function(shape, generator=generator, device=device, dtype=dtype).to(dtype).clamp(self.lo, self.hi)
 
 
-def as_distribution(values: Any, kind: Callable[..., Distribution] = Uniform) -> Any:
-  """Return the distribution of a pair of numbers; anything else is returned as it is, for `check_distribution`."""
-  # Files give lists.
-  is_pair = isinstance(values, Sequence) and len(values) == 2 and all(isinstance(x, Real) for x in values)
-  return kind(*values) if is_pair else values
-
-
-def check_distribution(distribution: Distribution, name: str) -> None:
-  """Raise MjlabError, beginning with `name`, if it is not a distribution, or has impossible parameters."""
-  if isinstance(distribution, type) or not hasattr(distribution, "sample"):
-    raise MjlabError(f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution.")
-  distribution.check(name)
-
-
 def joint_sampler(
   distributions: Sequence[Distribution], *, device: torch.device, dtype: torch.dtype
 ) -> Callable[[tuple[int, ...], torch.Generator | None], Tensor]:
@@ -205,10 +187,10 @@ def joint_sampler(
   options: dict[str, Any] = {"device": device, "dtype": dtype}
   first = distributions[0]
   if isinstance(first, _Parametric) and all(type(d) is type(first) for d in distributions):
-    rows = [d.parameters() for d in distributions if isinstance(d, _Parametric)]
-    columns = [torch.tensor(column, **options) for column in zip(*rows, strict=True)]
-    draw, k = type(first)._draw, len(rows)
-    return lambda shape, generator: draw(*columns, (*shape, k), generator=generator, **options)
+    rows: list[Any] = list(distributions)
+    columns = [torch.tensor(column, **options) for column in zip(*map(astuple, rows), strict=True)]
+    draw = type(first)._draw
+    return lambda shape, generator: draw(*columns, (*shape, len(rows)), generator=generator, **options)
   samplers = [d.prepared(**options) if isinstance(d, Categorical) else d.sample for d in distributions]
   return lambda shape, generator: torch.stack(
     [sample(shape, generator=generator, **options) for sample in samplers], dim=-1

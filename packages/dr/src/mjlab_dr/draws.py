@@ -9,7 +9,6 @@ from mjlab_core import euler_xyz_from_quat, quat_conjugate, quat_mul
 from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField
-from mjlab_dr.catalogue import FIELDS
 from mjlab_dr.distributions import Distribution
 from mjlab_dr.inertia import inertia_perturbation
 
@@ -20,7 +19,7 @@ def drawn_values(term: RandomizeField) -> dict[str, Tensor]:
   NaN where they cannot be computed: for a direction of unit length, a multiple of zero, an axis that an element does
   not have, or a body without volume.
   """
-  field, cfg = FIELDS[term.cfg.field], term.cfg
+  field, cfg = term.cfg.row, term.cfg
   values, default = term.values().double(), term.default.double()
   n, names = values.shape[0], [field.axes[axis] for axis in cfg.values]
   if field.form == "pseudo_inertia":

@@ -59,24 +59,19 @@ the origin.
 """
 
 
-def idle(model: mujoco.MjModel, name: str, ids: Sequence[int], axis: int | None = None) -> dict[int, str]:
-  """Return the elements in which a change of a field has no effect, with the reason to follow "it".
-
-  With an `axis`, those among them where a change of this axis has none, though one of others may have.
-  """
-  field, found = FIELDS[name], dict[int, str]()
-  for i in ids:
-    if reason := _element_reason(model, name, i) if axis is None else _axis_reason(model, name, i, axis):
-      found[i] = reason
-  is_probed = field.kind in _PROBED and field.in_model and name not in _UNPROBED
-  if name in _PROBED_AXES or (is_probed and axis is None):
-    axes = range(field.width) if axis is None else (axis,)
+def idle(model: mujoco.MjModel, name: str, ids: Sequence[int], axes: Sequence[int]) -> dict[tuple[int, int], str]:
+  """Return the numbers of a field, by element and axis, of which a change has no effect; reasons follow "it"."""
+  field, found = FIELDS[name], dict[tuple[int, int], str]()
+  for i, axis in product(ids, axes):
+    if reason := _element_reason(model, name, i) or _axis_reason(model, name, i, axis):
+      found[i, axis] = reason
+  by_axis = name in _PROBED_AXES
+  if by_axis or (field.kind in _PROBED and field.in_model and name not in _UNPROBED):
     probe = _Probe(model, name)
-    for i in ids:
-      if i in found or any(_axis_reason(model, name, i, column) for column in axes):
-        continue
-      if not probe.reads(list(product(rows(model, field, i), axes))):
-        found[i] = _reason(name)
+    for i, group in product(ids, [[axis] for axis in axes] if by_axis else [axes]):
+      columns = group if by_axis else range(field.width)
+      if (i, group[0]) not in found and not probe.reads(list(product(rows(model, field, i), columns))):
+        found |= dict.fromkeys(product([i], group), _reason(name))
   return found
 
 
@@ -162,10 +157,6 @@ def _touched(model: mujoco.MjModel, i: int) -> np.ndarray:
   return np.flatnonzero((fits != 0) & (welded != welded[i]))
 
 
-Place = tuple[int, int]
-"""Row and column of a number in its field."""
-
-
 class _Probe:
   """Copy of a model in states in which all that may act does: beyond limits, driven, and with active equalities.
 
@@ -192,8 +183,8 @@ class _Probe:
     self._derive()
     self._before = [self._outputs(state) for state in self._states]
 
-  def reads(self, places: Sequence[Place]) -> bool:
-    """Return True if other values in these places have an effect; the old ones are put back."""
+  def reads(self, places: Sequence[tuple[int, int]]) -> bool:
+    """Return True if other values in these rows and columns have an effect; the old ones are put back."""
     field = FIELDS[self._name]
     array = getattr(self._model, self._name).reshape(-1, field.width)
     for value in (None, 1e3, -1e3):

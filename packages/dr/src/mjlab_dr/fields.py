@@ -32,13 +32,13 @@ Form = Literal["plain", "direction", "rotation", "intrinsics", "servo", "pseudo_
 class Field:
   """One randomisable field."""
 
-  kind: Kind
-  """Kind of its elements: patterns select among the names of this kind."""
-
   unit: str = "1"
   """Unit of every axis, one for all or separated by commas."""
 
   _: KW_ONLY
+
+  kind: Kind = "option"
+  """Kind of its elements: patterns select among the names of this kind."""
 
   axes: tuple[str, ...] = ("",)
   """Names of the numbers drawn for one element; a single empty name for a scalar."""

@@ -30,8 +30,8 @@ def perturb_inertia(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
   """Return the inertial parameters after J' = U J U^T, exactly those given where all parameters are zero.
 
-  Computed in float64, without a host sync, and on a GPU in one launch where Warp is installed. Principal axes turn as
-  little as they can: nothing is reordered for small perturbations, and equal moments are no special case. A body
+  Computed in float64, without a host sync; float32 on a GPU is one launch where Warp is installed. Principal axes turn
+  as little as they can: nothing is reordered for small perturbations, and equal moments are no special case. A body
   without mass keeps none. Batch dimensions broadcast. Gradients are finite where no two moments are equal.
 
   Args:
@@ -48,11 +48,12 @@ def perturb_inertia(
   given = (mass, com, inertia, quat, parameters)
   dtype = torch.float32 if all(x.dtype == torch.float32 for x in given) else torch.float64
   batch = torch.broadcast_shapes(mass.shape, *(x.shape[:-1] for x in given[1:]))
-  # A kernel has no gradients.
-  if _has_kernel(mass.device) and not (torch.is_grad_enabled() and any(x.requires_grad for x in given)):
+  # The kernel has no gradients.
+  has_gradients = torch.is_grad_enabled() and any(x.requires_grad for x in given)
+  if _has_kernel(mass.device) and dtype == torch.float32 and 0 not in batch and not has_gradients:
     from mjlab_dr.inertia_kernels import launch
 
-    return launch(batch, *(x.to(dtype) for x in given), sweeps=_SWEEPS)
+    return launch(batch, *given, sweeps=_SWEEPS)
   mass, com, inertia, quat, p = (x.double() for x in given)
   p = p.expand(*batch, 10)
   gain = (2.0 * p[..., 0]).exp()
@@ -71,12 +72,11 @@ def perturb_inertia(
   moments, turn = diagonalize((local * second.unsqueeze(-2)) @ local.mT)
   moments = moments.clamp_min(0.0) * gain.unsqueeze(-1)
   result = moments.sum(-1, keepdim=True) - moments
-  # Moments of inertia from second moments and back again lose the last bit.
-  is_scaled = (p[..., 1:7] == 0.0).all(-1, keepdim=True)
-  result = torch.where(is_scaled, inertia * gain.unsqueeze(-1), result)
   if dtype == torch.float32:
-    is_same = is_scaled & (gain == 1.0).unsqueeze(-1)
-    result = torch.where(is_same, result.float(), rounded_moments(result))
+    result = rounded_moments(result)
+  # Moments of inertia from second moments and back again lose the last bit.
+  is_same = (p[..., :7] == 0.0).all(-1, keepdim=True)
+  result = torch.where(is_same, inertia.to(dtype), result)
   return (mass * gain).to(dtype), moved.to(dtype), result, quat_mul(quat.expand(turn.shape), turn).to(dtype)
 
 
@@ -136,35 +136,26 @@ def _upper_factor(matrix: Tensor) -> Tensor:
 def diagonalize(matrix: Tensor) -> tuple[Tensor, Tensor]:
   """Return the eigenvalues (..., 3) of symmetric matrices, and the rotation to their eigenvectors, (..., 4).
 
-  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and reorders eigenvalues that should stay in place. This code
-  has few operations rather than few numbers.
+  Cyclic Jacobi: `torch.linalg.eigh` waits for the device, and reorders eigenvalues that should stay in place.
   """
-  diagonal = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
-  # The entry opposite of each diagonal one: 12, 02, 01.
+  d = list(matrix.diagonal(dim1=-2, dim2=-1).unbind(-1))
+  # Each entry beside the diagonal has the index of the axis that it does not belong to.
   off = [matrix[..., 1, 2], matrix[..., 0, 2], matrix[..., 0, 1]]
   zero = torch.zeros_like(off[0])
-  turn = [zero + 1.0, zero, zero, zero]
+  w, v = zero + 1.0, [zero, zero, zero]
   for _ in range(_SWEEPS):
-    for axis in (2, 1, 0):
-      p, q = (axis + 1) % 3, (axis + 2) % 3
-      # tan(angle) of the rotation about `axis` that zeroes the entry pq, at most 45 degrees.
-      gap, entry = diagonal[p] - diagonal[q], off[axis]
-      twice = entry + entry
-      # A gap of zero is a tie, for which the sign must not be zero as well.
-      reach = torch.hypot(gap, twice).copysign(gap) + gap
-      tangent = (twice / reach).nan_to_num_(nan=0.0, posinf=0.0, neginf=0.0)
+    for k in (2, 1, 0):
+      i, j = (k + 1) % 3, (k + 2) % 3
+      # Tangent of the angle about axis k that zeroes the entry ij, at most 45 degrees; two zeros need no rotation.
+      gap, twice = d[i] - d[j], 2.0 * off[k]
+      tangent = (twice / (torch.hypot(gap, twice).copysign(gap) + gap)).nan_to_num(nan=0.0)
       cosine = (tangent.square() + 1.0).rsqrt()
       sine = tangent * cosine
-      diagonal[p] = torch.addcmul(diagonal[p], tangent, entry)
-      diagonal[q] = torch.addcmul(diagonal[q], tangent, entry, value=-1.0)
-      # The two other entries become mixtures of both.
-      first, second = off[q], off[p]
-      off[q] = (cosine * first).addcmul_(sine, second)
-      off[p] = (cosine * second).addcmul_(sine, first, value=-1.0)
-      off[axis] = zero
-      # tan(angle / 2); the quaternion gets its length back at the end.
-      slope = sine / (cosine + 1.0)
-      w, i, j, k = turn[0], turn[1 + axis], turn[1 + p], turn[1 + q]
-      turn[0], turn[1 + axis] = torch.addcmul(w, i, slope, value=-1.0), torch.addcmul(i, w, slope)
-      turn[1 + p], turn[1 + q] = torch.addcmul(j, k, slope), torch.addcmul(k, j, slope, value=-1.0)
-  return torch.stack(diagonal, -1), normalize(torch.stack(turn, -1))
+      moved = tangent * off[k]
+      d[i], d[j] = d[i] + moved, d[j] - moved
+      off[i], off[j], off[k] = cosine * off[i] - sine * off[j], cosine * off[j] + sine * off[i], zero
+      # Tangent of half the angle; the quaternion gets its length back at the end.
+      half = sine / (cosine + 1.0)
+      w, v[k] = w - half * v[k], v[k] + half * w
+      v[i], v[j] = v[i] + half * v[j], v[j] - half * v[i]
+  return torch.stack(d, -1), normalize(torch.stack((w, *v), -1))

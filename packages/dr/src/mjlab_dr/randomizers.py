@@ -5,21 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, TypedDict, Unpack, get_args
+from numbers import Real
+from typing import Literal, TypedDict, Unpack, cast, get_args
 
 from mjlab_core import ConfigError, MjlabError, check_name, unknown
 
 from mjlab_dr.catalogue import FIELDS, written_fields
-from mjlab_dr.distributions import (
-  Categorical,
-  Distribution,
-  Gaussian,
-  LogUniform,
-  Uniform,
-  as_distribution,
-  check_distribution,
-)
-from mjlab_dr.fields import Operation
+from mjlab_dr.distributions import Categorical, Distribution, Gaussian, LogUniform, Uniform
+from mjlab_dr.fields import Field, Operation
 
 DistributionName = Literal["uniform", "log_uniform", "gaussian"]
 Values = tuple[float, float] | Distribution
@@ -37,7 +30,7 @@ class FieldRandomizer:
   """Draw of new values of one field for the elements that a pattern selects, from the compiled default every time.
 
   Raises:
-    MjlabError: an unknown field, operation or axis, or values outside of what is physical; the message names all.
+    MjlabError: an unknown field, operation or axis, or an impossible distribution; the message names all.
   """
 
   field: str
@@ -70,7 +63,7 @@ class FieldRandomizer:
     if self.field not in FIELDS:
       yield unknown("field", self.field, FIELDS, owner="randomizer")
       return
-    field = FIELDS[self.field]
+    field = self.row
     only = "add" if field.form in ("rotation", "pseudo_inertia") else "absolute" if field.integer else operation
     if operation not in get_args(Operation):
       yield unknown("operation", operation, get_args(Operation), owner=label)
@@ -86,14 +79,17 @@ class FieldRandomizer:
       if axis not in range(len(field.axes)):
         yield f"{label}: axis {axis} does not exist; there are {len(field.axes)}, from 0."
       else:
-        yield from self._axis_problems(f"{label} {field.axes[axis]}".rstrip(), distribution, *field.bounds(axis))
+        yield from self._axis_problems(f"{label} {field.axes[axis]}".rstrip(), distribution)
     if self.isotropic and len(set(map(repr, self.values.values()))) > 1:
       yield f"{label}: isotropic means one draw for all axes, but they have different distributions."
 
-  def _axis_problems(self, name: str, distribution: Distribution, minimum: float, maximum: float) -> Iterator[str]:
-    field = FIELDS[self.field]
+  def _axis_problems(self, name: str, distribution: Distribution) -> Iterator[str]:
+    field = self.row
+    if isinstance(distribution, type) or not hasattr(distribution, "sample"):
+      yield f"{name}: {distribution!r} is neither two numbers, (lo, hi), nor a distribution."
+      return
     try:
-      check_distribution(distribution, name)
+      distribution.check(name)
     except ValueError as error:
       yield str(error)
       return
@@ -101,20 +97,11 @@ class FieldRandomizer:
       yield f"{name}: names are for what is chosen among named things, got {distribution.values}."
     if field.integer and not isinstance(distribution, Categorical):
       yield f"{name} is a choice: give a Categorical."
-    # A sum, and a product that has an upper bound, can only be judged against the defaults.
-    if self.operation == "add":
-      return
-    if self.operation == "scale":
-      minimum, maximum = (0.0 if minimum >= 0.0 else minimum), math.inf
-    lo, hi = distribution.support()
-    hint = ""
-    if isinstance(distribution, Gaussian):
-      hint = f" Truncate it, as in Gaussian(mean, std, lo={minimum:g}{f', hi={maximum:g}' if maximum < 1e9 else ''})."
-    values = f"{name}: {self.operation} values in [{lo:g}, {hi:g}] may"
-    if lo < minimum or (field.positive and lo == minimum):
-      yield f"{values} {'reach' if lo == minimum else 'fall below'} the physical minimum {minimum:g}.{hint}"
-    if hi > maximum:
-      yield f"{values} exceed the physical maximum {maximum:g}.{hint}"
+
+  @property
+  def row(self) -> Field:
+    """Row of the catalogue."""
+    return FIELDS[self.field]
 
   @property
   def label(self) -> str:
@@ -134,7 +121,7 @@ class FieldRandomizer:
   @property
   def composes(self) -> bool:
     """True if it may start from the result of another randomiser."""
-    field = FIELDS[self.field]
+    field = self.row
     if field.form != "plain":
       return field.form == "pseudo_inertia"
     if field.ordered or field.integer or self.field == "body_inertia" or "timeconst" in field.axes:
@@ -170,7 +157,7 @@ def randomize_field(
     isotropic: one draw for all axes of an element.
 
   Raises:
-    MjlabError: a name that does not exist, an impossible range, or values outside of what is physical.
+    MjlabError: a name that does not exist, or an impossible range.
   """
   pattern = pattern if isinstance(pattern, str) else tuple(pattern)
   label = f"{field} {pattern!r}"
@@ -187,7 +174,11 @@ def randomize_field(
   by_axis: dict[int, Distribution] = {}
   for axis, value in pairs:
     number = axis if isinstance(axis, int) else names.index(check_name("axis", axis, names, label))
-    by_axis[number] = as_distribution(value, _BY_NAME[distribution])
+    # Files give lists.
+    if isinstance(value, Sequence) and len(value) == 2 and all(isinstance(x, Real) for x in value):
+      value = _BY_NAME[distribution](*value)
+    # The randomizer refuses anything else.
+    by_axis[number] = cast(Distribution, value)
   return FieldRandomizer(
     field=field,
     pattern=pattern,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from types import MappingProxyType, SimpleNamespace
@@ -181,20 +181,18 @@ def _bind(
   randomizers: Sequence[FieldRandomizer], fields: _BatchedFields, generator: torch.Generator
 ) -> list[RandomizeField]:
   terms: list[RandomizeField] = []
-  writer: dict[tuple[str, int], FieldRandomizer] = {}
+  writers: dict[tuple[str, Hashable], str] = {}
   for cfg in randomizers:
-    if FIELDS[cfg.field].kind == "target":
+    if cfg.row.kind == "target":
       raise MjlabError(f"{cfg.label}: it belongs to actuator models, which a model alone does not have.")
-    term = RandomizeField(cfg, fields, generator=generator, earlier=writer)
-    for key, element in term.written().items():
-      if key in writer and not cfg.composes:
-        kind = FIELDS[cfg.field].kind
+    terms.append(RandomizeField(cfg, fields, generator=generator, earlier=writers))
+    for number, description in terms[-1].claims.items():
+      if number in writers and not cfg.composes:
         raise MjlabError(
-          f"{kind} {element!r} is written by two randomizers, {writer[key].label} and {cfg.label}, and the second one "
-          "does not compose: only what scales, shifts what has no bounds, or is a pseudo-inertia does."
+          f"{description} is written by two randomizers, {writers[number]} and {cfg.label}, and the second one does "
+          "not compose: only what scales, shifts what has no bounds, or is a pseudo-inertia does."
         )
-      writer.setdefault(key, cfg)
-    terms.append(term)
+      writers.setdefault(number, cfg.label)
   return terms
 
 

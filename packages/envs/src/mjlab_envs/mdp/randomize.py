@@ -46,7 +46,7 @@ class randomize(ManagerTermBase):
     field = FIELDS[randomizer.field]
     if transmission_type != "joint" and field.kind != "target":
       raise MjlabError(f"transmission_type is for quantities of actuator models; {randomizer.label} is not one")
-    names, ids, target, prefix, owner = None, None, None, "", "scene"
+    elements, target, prefix, owner = None, None, "", "scene"
     if entity is not None:
       prefix, owner = entity.prefix, f"entity '{entity.name}'"
       if field.kind == "target":
@@ -56,9 +56,9 @@ class randomize(ManagerTermBase):
     elif not field.in_model:
       raise MjlabError(f"{randomizer.label} belongs to an entity, which asset=None is not")
     if field.kind not in ("option", "target"):
-      names, ids = _of_the_scene(env, field) if entity is None else _elements(env, entity, field)
+      elements = _of_the_scene(env, field) if entity is None else _elements(env, entity, field)
     self.field = RandomizeField(
-      randomizer, env.sim, generator=env.rng, names=names, ids=ids, target=target, prefix=prefix, owner=owner
+      randomizer, env.sim, generator=env.rng, elements=elements, target=target, prefix=prefix, owner=owner
     )
     """The randomiser in the worlds of this environment."""
     self.claims: dict[Hashable, str] = {
@@ -138,24 +138,21 @@ def _actuator_quantity(
   return ActuatorParameter(actuators, env.sim, name, randomizer.pattern, transmission)
 
 
-def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> tuple[list[str], list[int]]:
-  """Return names and ids of an entity's elements that have a field; for its own tensors, columns instead of ids."""
+def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> dict[str, int]:
+  """Return the ids of an entity's elements that have a field by name; for its own tensors, columns instead of ids."""
   ix = entity.indexing
   if not field.in_model:
     # Joints with one column, and where it is among the entity's.
-    one = [i for i, columns in enumerate(ix.q_of_joint) if len(columns) == 1]
-    return [ix.names["joint"][i] for i in one], [ix.q_of_joint[i][0] for i in one]
+    joints = zip(ix.names["joint"], ix.q_of_joint, strict=True)
+    return {name: columns[0] for name, columns in joints if len(columns) == 1}
   if field.kind in ix.names:
-    return list(ix.names[field.kind]), ix.ids[field.kind].tolist()
-  found = [
-    (i, name) for i, name in enumerate(element_names(env.sim.mj_model, field.kind)) if name.startswith(entity.prefix)
-  ]
-  return [name.removeprefix(entity.prefix) for _, name in found], [i for i, _ in found]
+    return dict(zip(ix.names[field.kind], ix.ids[field.kind].tolist(), strict=True))
+  names = element_names(env.sim.mj_model, field.kind)
+  return {name.removeprefix(entity.prefix): i for i, name in enumerate(names) if name.startswith(entity.prefix)}
 
 
-def _of_the_scene(env: "ManagerBasedRlEnv", field: Field) -> tuple[list[str], list[int]]:
-  """Return names and ids of the elements that have a field and do not belong to an entity."""
+def _of_the_scene(env: "ManagerBasedRlEnv", field: Field) -> dict[str, int]:
+  """Return the ids of the elements that have a field and do not belong to an entity, by name."""
   prefixes = tuple(entity.prefix for entity in env.scene.entities.values())
   names = element_names(env.sim.mj_model, field.kind)
-  ids = [i for i, name in enumerate(names) if not name.startswith(prefixes) and (field.kind, i) != ("body", 0)]
-  return [names[i] for i in ids], ids
+  return {name: i for i, name in enumerate(names) if not name.startswith(prefixes) and (field.kind, i) != ("body", 0)}
