@@ -21,8 +21,8 @@ METADATA = {
   "default_joint_pos": str(DEFAULT),
   "action_scale": str(SCALE),
   "observation_names": "joint_pos,joint_vel,actions,command",
-  "observation_terms_scale": "1.0;0.5;1.0;None",
-  "observation_terms_clip": "None;-1.0,1.0;None;None",
+  "observation_terms_scale": "1.000,0.500,1.000,1.000;1.000;2.000",
+  "observation_terms_clip": "-inf;inf,-1.000;1.000,-inf;inf,-inf;inf",
   "observation_terms_history_length": "0.0,2.0,0.0,0.0",
 }
 WEIGHTS = np.array([[-0.4], [0.3], [-0.05], [0.1], [2.0], [0.0], [0.0]], np.float32)
@@ -64,10 +64,10 @@ def test_a_network_gets_the_observation_that_its_metadata_describes(tmp_path: Pa
     policy = Policy(bundle)
   action, before = 0.0, -0.5
   for i, velocity in enumerate((-1.0, 0.4, 3.0)):
-    readings = {"joint/position": [0.4], "joint/velocity": [velocity], "command/velocity": [0.2, 0.1, 0.0]}
+    readings = {"joint/position": [0.4], "joint/velocity": [velocity], "command/velocity": [0.2, 0.1, 0.3]}
     step = policy.step({name: np.array(value) for name, value in readings.items()})
     now = 0.5 * float(np.clip(velocity, -1.0, 1.0))
-    seen = [0.4 - DEFAULT, now if i == 0 else before, now, action, 0.2, 0.1, 0.0]
+    seen = [0.4 - DEFAULT, now if i == 0 else before, now, action, 0.2, 0.1, 0.6]
     np.testing.assert_allclose(step.observations["actor"], seen, rtol=1e-5)
     action, before = float(np.array(seen) @ WEIGHTS[:, 0]), now
     np.testing.assert_allclose(step.targets["target/position"], [DEFAULT + SCALE * action], rtol=1e-5)
@@ -125,12 +125,15 @@ def test_a_network_runs_from_the_command_line(tmp_path: Path, robot: Path, capsy
   [
     ({"joint_names": None}, "metadata of the network 'joint_names' does not exist; there are "),
     ({"joint_names": "elbow"}, "joint 'elbow' does not exist; there are 'hinge'"),
-    ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: stiff"),
+    ({"joint_stiffness": "stiff"}, "metadata 'joint_stiffness' has a value that is not a number: could not convert"),
     (
       {"observation_names": "joint_pos,joint_vel,actions,phase"},
       "observation of the network 'phase' does not exist; there are 'base_lin_vel', ",
     ),
-    ({"observation_names": "joint_pos,actions"}, "its observation_names give 2 numbers, the network takes 7"),
+    (
+      {"observation_names": "joint_pos,joint_vel,actions,actions"},
+      "its observation_names give 5 numbers, the network takes 7",
+    ),
   ],
 )
 def test_metadata_that_do_not_fit_are_refused_by_name(

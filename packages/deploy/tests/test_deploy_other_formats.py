@@ -67,4 +67,4 @@ def test_metadata_keep_full_precision() -> None:
     joint.stiffness for joint in description.robot.joints
   ]
   assert [float(word) for word in metadata["action_scale"].split(",")] == list(description.action_scale or ())
-  assert metadata["observation_terms_clip"] == ";".join(["-5.0,5.0"] * 4)
+  assert metadata["observation_terms_clip"] == ",".join(["-5.0;5.0"] * 4)

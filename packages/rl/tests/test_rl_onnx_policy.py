@@ -77,7 +77,7 @@ METADATA = {
   "observation_terms_scale": "0.500,1.000",
   "observation_terms_history_length": "0.000,2.000",
   "observation_terms_flatten_history_dim": "1.000,1.000",
-  "observation_terms_clip": "None;-2.000,2.000",
+  "observation_terms_clip": "-inf;inf,-2.000;2.000",
   "action_scale": "0.250,0.250,0.075",
 }
 WEIGHTS = np.linspace(-1, 1, 27).reshape(9, 3)
@@ -112,7 +112,7 @@ def test_inputs_are_fed_by_their_name_and_outputs_of_a_motion_are_ignored(tmp_pa
     ("joint_names", "hip,knee,wrist", "joint_names: wrist only in the file, ankle only here"),
     ("joint_names", "hip,knee", "joint_names: ankle only here"),
     ("joint_stiffness", "41.000,40.000,0.000", "joint_stiffness: 'hip' has 41 in the file and 40 here"),
-    ("joint_damping", "2.000,2.000", "joint_damping: 2 values in the file for 3 joints"),
+    ("joint_damping", "2.000,2.000", "metadata 'joint_damping' has 2 values, but there are 3 items"),
     ("default_joint_pos", "0.100,-0.200,0.300", "default_joint_pos: 'ankle' has 0.3 in the file and 0.3333 here"),
     ("command_names", "motion", "command_names: motion only in the file, twist only here"),
     ("observation_names", "joint_vel,joint_pos", "observation_names: another order, from position 0"),
@@ -123,9 +123,9 @@ def test_inputs_are_fed_by_their_name_and_outputs_of_a_motion_are_ignored(tmp_pa
       "observation_terms_history_length: 'joint_vel' has 5 in the file",
     ),
     ("observation_terms_flatten_history_dim", "1,0", "observation_terms_flatten_history_dim: 'joint_vel'"),
-    ("observation_terms_clip", "None;-1.0,1.0", "observation_terms_clip: 'joint_vel' has -1, 1 in the file and -2, 2"),
+    ("observation_terms_clip", "-inf;inf,-1;1", "observation_terms_clip: 'joint_vel' has -1, 1 in the file and -2, 2"),
     ("action_scale", "0.500", "action_scale: 'hip' has 0.5 in the file and 0.25 here"),
-    ("joint_stiffness", "a,b,c", "metadata 'joint_stiffness' has a value that is not a number: a,b,c"),
+    ("joint_stiffness", "a,b,c", "metadata 'joint_stiffness' has a value that is not a number: "),
   ],
 )
 def test_a_difference_between_metadata_and_environment_is_refused_by_name(
@@ -150,8 +150,8 @@ def test_actions_in_another_order_than_the_joints_of_the_file_are_refused(tmp_pa
   ("options", "message"),
   [
     ({"other": "wind"}, "meaning of input 'wind' does not exist"),
-    ({"weights": np.ones((7, 3))}, "it takes 7 observations, here are 9"),
-    ({"weights": np.ones((9, 2))}, r"its actions are float32 \(1, 2\), the environment takes \(1, 3\)"),
+    ({"weights": np.ones((7, 3))}, "invalid dimensions for input: obs .* Got: 9 Expected: 7"),
+    ({"weights": np.ones((9, 2))}, r"its actions are \(1, 2\), the environment takes \(1, 3\)"),
   ],
 )
 def test_a_network_that_does_not_fit_is_refused_by_name(tmp_path: Path, options: Any, message: str) -> None:

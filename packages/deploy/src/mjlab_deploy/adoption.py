@@ -18,7 +18,6 @@ from mjlab_deploy.model_readings import actuators_of, joint_facts
 from mjlab_deploy.network_graph import NetworkGraph
 from mjlab_deploy.network_metadata import NetworkMetadata, find_deploy_yaml, read_deploy_yaml, read_metadata
 from mjlab_deploy.onnx_graph import OnnxGraph
-from mjlab_deploy.other_formats import REFERENCE_OUTPUTS
 from mjlab_deploy.scene import write_scene
 
 _ROBOT = "robot"
@@ -41,7 +40,7 @@ def adopted(policy: Path, model: Path, rate: float | None = None) -> Generator[B
     DeployError: Either file cannot be read, or they do not fit; the message begins with the path of the policy.
   """
   with tempfile.TemporaryDirectory(prefix="bundle-") as temporary:
-    with reading(f"policy {policy}", LookupError):
+    with reading(f"policy {policy}", LookupError, ValueError):
       bundle = _adopt(policy, model, rate, Path(temporary))
     yield bundle
 
@@ -54,35 +53,37 @@ def _adopt(policy: Path, model: Path, rate: float | None, folder: Path) -> Bundl
   follows_clip = "time_step" in network.inputs and "joint_pos" in network.outputs
   metadata = read_metadata(network.metadata, follows_clip=follows_clip) if beside is None else read_deploy_yaml(beside)
   rate = rate or metadata.rate or 50.0
-  joints, names = metadata.joints, tuple(joint.name for joint in metadata.joints)
-  graph = NetworkGraph(network, joints, metadata.action_scale, metadata.observations)
-  spec = _scene(model, joints)
-  (folder / "policy.onnx").write_bytes(data)
-  if not write_scene(spec, folder):
-    raise DeployError(f"{model}: its collisions need mesh files, which a bundle cannot hold; use primitives")
+  names = tuple(joint.name for joint in metadata.joints)
+  spec, joints = _scene(model, metadata.joints)
   compiled = spec.compile()
-  robot = _robot(compiled, joints)
-  root = f"{_ROBOT}/{robot.root_body}"
   description = Description(
     task=policy.stem,
-    robot=robot,
+    robot=_robot(compiled, joints),
     timing=_timing(compiled.opt.timestep, rate),
-    inputs=tuple(Input(name=name, shape=shape[1:], origin=_origin(name, root)) for name, shape in graph.inputs.items()),
+    inputs=(),
     memories=(),
     targets=(Target(name="target/position", quantity="position", joints=names),),
     observations=metadata.observations,
     action_names=names,
     action_scale=metadata.action_scale,
+    has_scene=True,
+  )
+  graph, root = NetworkGraph(network, description), f"{_ROBOT}/{description.robot.root_body}"
+  (folder / "policy.onnx").write_bytes(data)
+  if not write_scene(spec, folder):
+    raise DeployError(f"{model}: its collisions need mesh files, which a bundle cannot hold; use primitives")
+  description = replace(
+    description,
+    inputs=tuple(Input(name=name, shape=size[1:], origin=_origin(name, root)) for name, size in graph.inputs.items()),
     commands=(Command(input="command/velocity", ranges=_VELOCITY),) if "command/velocity" in graph.inputs else (),
     motion=_write_motion(network, metadata, folder, rate) if follows_clip else None,
-    has_scene=True,
   )
   write_description(folder, description)
   return Bundle(folder)
 
 
-def _scene(path: Path, joints: tuple[Joint, ...]) -> mujoco.MjSpec:
-  """Return the robot's scene with position servos; its elements are named "robot/..."."""
+def _scene(path: Path, joints: tuple[Joint, ...]) -> tuple[mujoco.MjSpec, tuple[Joint, ...]]:
+  """Return the robot's scene with position servos, its elements named "robot/...", and the joints with its facts."""
   prefix = f"{_ROBOT}/"
   with reading(path, ValueError, mujoco.FatalError):
     spec = mujoco.MjSpec.from_file(str(path))
@@ -98,15 +99,17 @@ def _scene(path: Path, joints: tuple[Joint, ...]) -> mujoco.MjSpec:
     spec.delete(actuator)
   if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0))
-  there = [joint.name.removeprefix(prefix) for joint in spec.joints if joint.name.startswith(prefix)]
+  there, found = [joint.name.removeprefix(prefix) for joint in spec.joints if joint.name.startswith(prefix)], []
   for joint in joints:
     check_known(f"{path}: joint", joint.name, there)
     name = prefix + joint.name
+    effort = min(_effort_limits(model, model.joint(name).id), default=None)
     servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=joint.stiffness or 0.0, kv=joint.damping or 0.0)
-    if efforts := _effort_limits(model, model.joint(name).id):
-      servo.forcelimited, servo.forcerange = True, (-min(efforts), min(efforts))
-  return spec
+    if effort is not None:
+      servo.forcelimited, servo.forcerange = True, (-effort, effort)
+    found.append(replace(joint, effort_limit=effort, **joint_facts(model, name)))
+  return spec, tuple(found)
 
 
 def _effort_limits(model: mujoco.MjModel, joint: int) -> list[float]:
@@ -117,24 +120,12 @@ def _effort_limits(model: mujoco.MjModel, joint: int) -> list[float]:
 
 
 def _robot(model: mujoco.MjModel, joints: tuple[Joint, ...]) -> Robot:
-  """Return the robot of a scene, whose joints get their facts of the model."""
-  found = []
-  for joint in joints:
-    servo = model.actuator(f"{_ROBOT}/{joint.name}")
-    found.append(
-      replace(
-        joint,
-        effort_limit=float(servo.forcerange[1]) if servo.forcelimited[0] else None,
-        **joint_facts(model, f"{_ROBOT}/{joint.name}"),
-      )
-    )
   root = model.body_rootid[model.jnt_bodyid[model.joint(f"{_ROBOT}/{joints[0].name}").id]]
-  has_free_joint = model.body_jntnum[root] and model.jnt_type[model.body_jntadr[root]] == mujoco.mjtJoint.mjJNT_FREE
   return Robot(
     name=_ROBOT,
-    joints=tuple(found),
+    joints=joints,
     root_body=model.body(root).name.removeprefix(f"{_ROBOT}/"),
-    is_floating=bool(has_free_joint),
+    is_floating=bool((model.jnt_type[model.jnt_bodyid == root] == mujoco.mjtJoint.mjJNT_FREE).any()),
   )
 
 
@@ -163,24 +154,23 @@ def _write_motion(network: OnnxGraph, metadata: NetworkMetadata, folder: Path, r
 
   def shown(step: int) -> dict[str, np.ndarray]:
     values = network.run(zeros | {"time_step": np.full_like(zeros["time_step"], step)})
-    return {name: values[name] for name in REFERENCE_OUTPUTS}
+    return {
+      "joint_position": values["joint_pos"][0],
+      "joint_velocity": values["joint_vel"][0],
+      "anchor_position": values["body_pos_w"][0, anchor],
+      "anchor_orientation": values["body_quat_w"][0, anchor],
+    }
 
-  last, frames, same = shown(_MAX_FRAMES), [], 0
+  last, same = shown(_MAX_FRAMES), 0
+  # Step t of a bundle shows frame t + 1, that of the network frame t.
+  frames = [shown(0)]
   # A clip may pass through its last frame earlier.
   while same < _STANDSTILL:
-    if len(frames) >= _MAX_FRAMES:
+    if len(frames) > _MAX_FRAMES:
       raise DeployError(f"its clip has more than {_MAX_FRAMES} frames")
-    frames.append(shown(len(frames)))
-    same = same + 1 if all(np.array_equal(frames[-1][name], last[name]) for name in REFERENCE_OUTPUTS) else 0
+    frames.append(shown(len(frames) - 1))
+    same = same + 1 if all(np.array_equal(frames[-1][name], last[name]) for name in last) else 0
   frames = frames[: len(frames) - same + 1]
-  # Step t of a bundle shows frame t + 1, that of the network frame t.
-  frames.insert(0, frames[0])
-  rows = {
-    "joint_position": [frame["joint_pos"][0] for frame in frames],
-    "joint_velocity": [frame["joint_vel"][0] for frame in frames],
-    "anchor_position": [frame["body_pos_w"][0, anchor] for frame in frames],
-    "anchor_orientation": [frame["body_quat_w"][0, anchor] for frame in frames],
-  }
-  write_arrays(folder / "motion.npz", {name: np.array(values, np.float64) for name, values in rows.items()})
+  write_arrays(folder / "motion.npz", {name: np.array([frame[name] for frame in frames], float) for name in last})
   names = tuple(joint.name for joint in metadata.joints)
   return Motion(rate=rate, num_frames=len(frames), joint_names=names, anchor_body=metadata.anchor)

@@ -1,13 +1,20 @@
 """Contents of `bundle.json`."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 FORMAT = 1
 """Version that this package writes, and the newest that it reads."""
+EPISODE_START = "episode_start"
+"""Input of a graph with memory: 1 in the first step of an episode, else 0."""
+LAST_ACTION = "memory/last_action"
+"""Input: the raw action of the step before."""
+ACTION = "action"
+"""Output: the raw action of the network."""
 
+ArrayT = TypeVar("ArrayT", bound=Any)
 Numbers = tuple[float, ...]
 Range = tuple[float, float]
 
@@ -152,6 +159,10 @@ class Observation:
   history_length: int = 0
   delay_range: tuple[int, int] = (0, 0)
   """Delays that the training drew [policy steps]; not part of the graph."""
+
+  def part(self, group: ArrayT) -> ArrayT:
+    """Return the columns of this term in the observation of its group, an array or a tensor without a first axis."""
+    return group[slice(*self.columns)] if self.columns[1] else group
 
 
 @dataclass(frozen=True, kw_only=True)

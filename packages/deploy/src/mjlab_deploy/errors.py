@@ -32,14 +32,15 @@ def reading(what: object, *errors: type[Exception]) -> Generator[None]:
     raise DeployError(f"{what}: {' '.join(str(error).split())[:200]}") from error
 
 
-def check_known(kind: str, name: str, known: Collection[str]) -> None:
-  """Refuse a name that does not exist.
+def check_known(kind: str, name: str, known: Collection[str]) -> str:
+  """Return a name that exists.
 
   Raises:
     DeployError: It is not among those that exist; the message lists them.
   """
   if name not in known:
     raise DeployError(f"{kind} {name[:60]!r} does not exist; there are {', '.join(map(repr, known))[:400] or 'none'}")
+  return name
 
 
 def read_limited(path: Path, max_bytes: int) -> bytes:

@@ -4,12 +4,12 @@ Observations are assembled here, in NumPy, as the description of the bundle says
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
 
-from mjlab_deploy.description import Joint, Observation
+from mjlab_deploy.description import ACTION, Description, Observation
 from mjlab_deploy.errors import DeployError, reading
 from mjlab_deploy.network_metadata import GROUP, reading_width
 from mjlab_deploy.onnx_graph import OnnxGraph, Shapes
@@ -23,29 +23,22 @@ class NetworkGraph:
 
   Args:
     network: The network.
-    joints: Joints of the robot.
-    action_scale: Shift of the target per unit of action for each joint.
-    observations: Observations in the order of the network's input.
+    description: Robot, action scale and observations, in the order of the network's input.
 
   Raises:
     DeployError: The network has other inputs or outputs, or cannot be run.
   """
 
-  def __init__(
-    self,
-    network: OnnxGraph,
-    joints: Sequence[Joint],
-    action_scale: Sequence[float],
-    observations: Sequence[Observation],
-  ) -> None:
-    self._network, self._observations = network, observations
-    self._default, self._scale = np.array([joint.default_position for joint in joints]), np.array(action_scale)
-    if (width := sum(item.shape[0] for item in observations)) != network.inputs["obs"][-1]:
+  def __init__(self, network: OnnxGraph, description: Description) -> None:
+    self._network, self._observations = network, description.observations
+    self._default = description.robot.values("default_position")
+    self._scale = np.array(description.action_scale)
+    if (width := sum(item.shape[0] for item in self._observations)) != network.inputs["obs"][-1]:
       raise DeployError(f"its observation_names give {width} numbers, the network takes {network.inputs['obs'][-1]}")
-    names = [name for item in observations for name in item.sources if name != "last_action"]
-    self.inputs: Shapes = {name: (1, reading_width(name, len(joints))) for name in names}
+    names = [name for item in self._observations for name in item.sources if name != "last_action"]
+    self.inputs: Shapes = {name: (1, reading_width(name, len(self._default))) for name in names}
     """Shapes of the readings by name."""
-    self.outputs = ["target/position", "action", f"observation/{GROUP}"]
+    self.outputs = ["target/position", ACTION, f"observation/{GROUP}"]
     """Names of the outputs."""
     self.reset()
     with reading("the network cannot be run", Exception):
@@ -77,10 +70,9 @@ class NetworkGraph:
     if item.clip is not None:
       frame = np.clip(frame, *item.clip)
     frame = frame * (1.0 if item.scale is None else np.array(item.scale))
-    if item.history_length < 2:
-      return frame
     # At the start of an episode the past is filled with the present.
-    past = self._past.setdefault(item.name, deque([frame] * item.history_length, maxlen=item.history_length))
+    count = max(item.history_length, 1)
+    past = self._past.setdefault(item.name, deque([frame] * count, maxlen=count))
     past.append(frame)
     return np.concatenate(past)
 

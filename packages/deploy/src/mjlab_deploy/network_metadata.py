@@ -1,4 +1,7 @@
-"""Metadata of networks of other projects: of mjlab 1.x and BeyondMimic in the file, of Unitree in `deploy.yaml`."""
+"""Metadata of networks of other projects: of mjlab 1.x and BeyondMimic in the file, of Unitree in `deploy.yaml`.
+
+Metadata of mjlab 1.x are lists. Items stand between commas, the numbers of one item between semicolons.
+"""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -51,44 +54,74 @@ class NetworkMetadata:
   """Body of the clip that is aligned with the robot."""
 
 
+def metadata_words(metadata: Mapping[str, str], key: str) -> list[str]:
+  """Return the items of a list as text.
+
+  Raises:
+    DeployError: The key is missing.
+  """
+  check_known("metadata of the network", key, metadata)
+  return [word.strip() for word in metadata[key].split(",") if word.strip()]
+
+
+def metadata_rows(metadata: Mapping[str, str], key: str, count: int) -> list[list[float]]:
+  """Return the `count` items of a list of numbers, which may be one item for all; an item None has no numbers.
+
+  Raises:
+    DeployError: The key is missing, a value is not a number, or there are more or fewer items.
+  """
+  check_known("metadata of the network", key, metadata)
+  words = [word.strip() for word in metadata[key].split(",")]
+  with reading(f"metadata '{key}' has a value that is not a number", ValueError):
+    rows = [[] if word in ("", "None") else [float(number) for number in word.split(";")] for word in words]
+    if any(math.isnan(number) for row in rows for number in row):
+      raise DeployError("nan")
+  if len(rows) not in (1, count):
+    raise DeployError(f"metadata '{key}' has {len(rows)} values, but there are {count} items")
+  return rows if len(rows) == count else rows * count
+
+
 def read_metadata(metadata: Mapping[str, str], *, follows_clip: bool) -> NetworkMetadata:
   """Return the metadata of an ONNX file.
 
   Raises:
     DeployError: A value is missing or malformed, or an observation is not known; the message names it.
+    ValueError: A joint has more or fewer numbers than one.
   """
-  names, bodies, anchor = _words(metadata, "joint_names"), [], metadata.get("anchor_body_name", "")
+  names, terms = (metadata_words(metadata, key) for key in ("joint_names", "observation_names"))
+  bodies, anchor = metadata_words(metadata, "body_names") if follows_clip else [], metadata.get("anchor_body_name", "")
   if follows_clip:
-    bodies = _words(metadata, "body_names")
     check_known("anchor_body_name of the metadata", anchor, bodies)
-  default, stiffness, damping, scale = (
-    _numbers(metadata, key, len(names))
+  numbers = (
+    [number for (number,) in metadata_rows(metadata, key, len(names))]
     for key in ("default_joint_pos", "joint_stiffness", "joint_damping", "action_scale")
   )
-  terms = _words(metadata, "observation_names")
-  settings = []
-  for key, separator in (("scale", ";"), ("clip", ";"), ("history_length", ",")):
-    parts = metadata.get(f"observation_terms_{key}", "").split(separator)
-    parts = parts if len(parts) == len(terms) else [""] * len(terms)
-    settings.append([_parsed(f"observation_terms_{key}", part) for part in parts])
-  return NetworkMetadata(
-    joints=_joints(names, default, stiffness, damping),
-    action_scale=tuple(scale),
-    observations=_observations(zip(terms, *settings, strict=True), len(names), anchor if follows_clip else None),
-    bodies=tuple(bodies),
-    anchor=anchor,
+  settings = (
+    metadata_rows(metadata, key, len(terms)) if key in metadata else [[]] * len(terms)
+    for key in ("observation_terms_scale", "observation_terms_clip", "observation_terms_history_length")
   )
+  rows = zip(terms, *settings, strict=True)
+  return _network(names, numbers, rows, anchor if follows_clip else None, bodies=tuple(bodies), anchor=anchor)
 
 
-def _joints(*columns: Iterable[Any]) -> tuple[Joint, ...]:
-  """Return joints for their names, default positions, kp and kd."""
-  return tuple(
-    Joint(name=name, default_position=default, is_driven=True, stiffness=kp, damping=kd)
-    for name, default, kp, kd in zip(*columns, strict=True)
+def _network(
+  names: Sequence[str],
+  numbers: Iterable[Sequence[float]],
+  rows: Iterable[Sequence[Any]],
+  clip_anchor: str | None = None,
+  **others: Any,
+) -> NetworkMetadata:
+  """Return metadata for default position, kp, kd and action scale of each joint, and rows of observations."""
+  default, stiffness, damping, scale = numbers
+  joints = tuple(
+    Joint(name=name, default_position=position, is_driven=True, stiffness=kp, damping=kd)
+    for name, position, kp, kd in zip(names, default, stiffness, damping, strict=True)
   )
+  observations = _observations(rows, len(names), clip_anchor)
+  return NetworkMetadata(joints=joints, action_scale=tuple(scale), observations=observations, **others)
 
 
-def _observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | None = None) -> tuple[Observation, ...]:
+def _observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | None) -> tuple[Observation, ...]:
   """Return the observations of a network in the order of its input.
 
   Args:
@@ -124,34 +157,11 @@ def _observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | 
   return tuple(found)
 
 
-def _words(metadata: Mapping[str, str], key: str) -> list[str]:
-  check_known("metadata of the network", key, metadata)
-  return [word.strip() for word in metadata[key].split(",")]
-
-
 def reading_width(name: str, num_joints: int) -> int:
   """Return the number of values of a reading, or of the last action."""
   if name.startswith(("joint/", "motion/joint_", "last_action")):
     return num_joints
   return 4 if name.endswith("orientation") else 3
-
-
-def _numbers(metadata: Mapping[str, str], key: str, count: int) -> list[float]:
-  values = _parsed(key, ",".join(_words(metadata, key)))
-  if len(values) not in (1, count):
-    raise DeployError(f"metadata '{key}' has {len(values)} numbers for {count} joints")
-  return values if len(values) == count else values * count
-
-
-def _parsed(key: str, text: str) -> list[float]:
-  text = text.strip(" ()[]")
-  try:
-    values = [float(word) for word in text.split(",")] if text not in ("", "None") else []
-  except ValueError:
-    values = [math.nan]
-  if any(map(math.isnan, values)):
-    raise DeployError(f"metadata '{key}' has a value that is not a number: {text[:80]}")
-  return values
 
 
 def find_deploy_yaml(policy: Path) -> Path | None:
@@ -190,13 +200,9 @@ def _metadata(data: Mapping[str, Any]) -> NetworkMetadata:
   keys = ("scale", "clip", "history_length")
   rows = [(name, *(_spread(term.get(key) or (), 1) for key in keys)) for name, term in data["observations"].items()]
   # Gains are in the order of the motors, everything else in that of the policy.
-  stiffness, damping = ([float(data[gain][i]) for i in motors] for gain in ("stiffness", "damping"))
-  return NetworkMetadata(
-    joints=_joints([names[i] for i in motors], default, stiffness, damping),
-    action_scale=tuple(_spread(action.get("scale") or 1.0, len(motors))),
-    observations=_observations(rows, len(motors)),
-    rate=1.0 / float(data["step_dt"]),
-  )
+  gains = ([float(data[gain][i]) for i in motors] for gain in ("stiffness", "damping"))
+  numbers = (default, *gains, _spread(action.get("scale") or 1.0, len(motors)))
+  return _network([names[i] for i in motors], numbers, rows, rate=1.0 / float(data["step_dt"]))
 
 
 def _spread(value: Any, count: int) -> list[float]:

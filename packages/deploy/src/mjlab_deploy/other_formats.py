@@ -1,6 +1,9 @@
 """Description of a policy in the formats of other runners."""
 
+import math
 from collections.abc import Iterable
+
+import numpy as np
 
 from mjlab_deploy.description import Description, Observation
 from mjlab_deploy.errors import DeployError
@@ -48,10 +51,10 @@ def onnx_metadata(description: Description) -> dict[str, str]:
     "default_joint_pos": _csv(robot.values("default_position")),
     "command_names": ",".join(names),
     "observation_names": ",".join(term.name for term in terms),
-    "observation_terms_scale": ";".join(_csv(_scales(term)) for term in terms),
-    "observation_terms_history_length": _csv(float(term.history_length) for term in terms),
-    "observation_terms_flatten_history_dim": _csv(float(len(term.shape) == 1) for term in terms),
-    "observation_terms_clip": ";".join("None" if term.clip is None else _csv(term.clip) for term in terms),
+    "observation_terms_scale": _csv(1.0 if term.scale is None else term.scale for term in terms),
+    "observation_terms_history_length": _csv(term.history_length for term in terms),
+    "observation_terms_flatten_history_dim": _csv(len(term.shape) == 1 for term in terms),
+    "observation_terms_clip": _csv(term.clip or (-math.inf, math.inf) for term in terms),
   }
   if description.action_scale is not None:
     metadata["action_scale"] = _csv(description.action_scale)
@@ -76,28 +79,28 @@ def unitree_deploy_yaml(description: Description) -> str:
   driven = list(description.targets[0].joints)
   # Its runner sends the gains to the motors as they stand; everything else is in the policy's order.
   at_motor = [names.index(name) for name in motors]
-  default = robot.values("default_position")
+  default = robot.values("default_position").tolist()
   lines = [
     f"joint_ids_map: {[motors.index(name) for name in names]}",
     f"step_dt: {description.timing.control_dt!r}",
-    f"stiffness: {_list(robot.values('stiffness')[at_motor])}",
-    f"damping: {_list(robot.values('damping')[at_motor])}",
-    f"default_joint_pos: {_list(default)}",
+    f"stiffness: {robot.values('stiffness')[at_motor].tolist()}",
+    f"damping: {robot.values('damping')[at_motor].tolist()}",
+    f"default_joint_pos: {default}",
     "commands:",
     "  base_velocity:",
     "    ranges:",
   ]
   for command in description.commands:
     axes = zip(("lin_vel_x", "lin_vel_y", "ang_vel_z"), command.ranges.values(), strict=False)
-    lines += [f"      {axis}: {_list(limits)}" for axis, limits in axes]
+    lines += [f"      {axis}: {list(limits)}" for axis, limits in axes]
   lines += [
     "      heading: null",
     "actions:",
     "  JointPositionAction:",
     "    clip: null",
     "    joint_names: ['.*']",
-    f"    scale: {_list(description.action_scale)}",
-    f"    offset: {_list(default[names.index(name)] for name in driven)}",
+    f"    scale: {list(description.action_scale)}",
+    f"    offset: {[default[names.index(name)] for name in driven]}",
     f"    joint_ids: {'null' if driven == names else [names.index(name) for name in driven]}",
     "observations:",
   ]
@@ -109,8 +112,8 @@ def unitree_deploy_yaml(description: Description) -> str:
     lines += [
       f"  {name}:",
       "    params: {command_name: base_velocity}" if name == "velocity_commands" else "    params: {}",
-      f"    clip: {'null' if term.clip is None else _list(term.clip)}",
-      f"    scale: {_list(_scales(term))}",
+      f"    clip: {'null' if term.clip is None else list(term.clip)}",
+      f"    scale: {_scales(term)}",
       f"    history_length: {max(term.history_length, 1)}",
     ]
   return "\n".join(lines) + "\n"
@@ -118,15 +121,11 @@ def unitree_deploy_yaml(description: Description) -> str:
 
 def _scales(term: Observation) -> list[float]:
   """Return the scale of each component of one frame."""
-  if isinstance(term.scale, tuple):
-    return list(term.scale)
   width = term.shape[0] // max(term.history_length, 1) if len(term.shape) == 1 else 1
-  return [1.0 if term.scale is None else term.scale] * width
+  return np.full(width, 1.0 if term.scale is None else term.scale).tolist()
 
 
-def _csv(values: Iterable[float]) -> str:
-  return ",".join(repr(float(value)) for value in values)
-
-
-def _list(values: Iterable[float]) -> str:
-  return str([float(value) for value in values])
+def _csv(items: Iterable[float | tuple[float, ...]]) -> str:
+  """Return numbers between commas; those of a tuple between semicolons."""
+  rows = (item if isinstance(item, tuple) else (item,) for item in items)
+  return ",".join(";".join(repr(float(number)) for number in row) for row in rows)

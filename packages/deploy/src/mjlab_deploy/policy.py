@@ -6,16 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from mjlab_deploy.bundle import Bundle
+from mjlab_deploy.description import ACTION, EPISODE_START, LAST_ACTION
 from mjlab_deploy.errors import DeployError, check_known, reading
 from mjlab_deploy.network_graph import NetworkGraph
 from mjlab_deploy.onnx_graph import OnnxGraph
-
-EPISODE_START = "episode_start"
-"""Input of a graph with memory: 1 in the first step of an episode, else 0."""
-LAST_ACTION = "memory/last_action"
-"""Input: the raw action of the step before."""
-ACTION = "action"
-"""Output: the raw action of the network."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +39,8 @@ class Policy:
     graph: OnnxGraph | NetworkGraph = OnnxGraph(bundle.read_bytes("policy.onnx"))
     if "obs" in graph.inputs:
       # A network of others, which takes observations instead of readings.
-      robot, scale = self.description.robot, self.description.action_scale or ()
-      with reading("policy.onnx", LookupError):
-        graph = NetworkGraph(graph, robot.joints, scale, self.description.observations)
+      with reading("policy.onnx", LookupError, ValueError):
+        graph = NetworkGraph(graph, self.description)
     self._graph, given = graph, graph.inputs
     wanted: dict[str, tuple[int, ...]] = {item.name: (1, *item.shape) for item in self.description.inputs}
     wanted |= {item.input: item.shape for item in self.description.memories}

@@ -68,11 +68,10 @@ class UnitreeRobot(RobotIO):
     joints: tuple[str, ...] | None = None,
     clock: Callable[[], float] = time.monotonic,
   ) -> None:
-    self.model = _known(model)
+    self.model = MODELS[check_known("robot", model, MODELS)]
     self._joints = self.model.motors if joints is None else joints
-    for name in self._joints:
-      check_known(f"motor of the {model}", name, self.model.motors)
-    self._motor = [self.model.motors.index(name) for name in self._joints]
+    motors = self.model.motors
+    self._motor = [motors.index(check_known(f"motor of the {model}", name, motors)) for name in self._joints]
     self._make_command, self._checksum, self._send, self._clock = make_command, checksum, send, clock
     self._state: RobotState | None = None
     self._tick: int | None = None
@@ -130,18 +129,13 @@ class UnitreeRobot(RobotIO):
     self._send(message)
 
 
-def _known(model: str) -> UnitreeModel:
-  check_known("robot", model, MODELS)
-  return MODELS[model]
-
-
 def connect(model: str, network: str, joints: tuple[str, ...] | None = None) -> UnitreeRobot:
   """Return a robot on a network interface ("eth0"; "lo" with Unitree's simulator), through `unitree_sdk2py`.
 
   Raises:
     DeployError: The SDK is not installed, or the robot is not known.
   """
-  family = _known(model).messages
+  family = MODELS[check_known("robot", model, MODELS)].messages
   try:
     channel: Any = importlib.import_module("unitree_sdk2py.core.channel")
     messages: Any = importlib.import_module(f"unitree_sdk2py.idl.{family}.msg.dds_")

@@ -7,8 +7,9 @@ import numpy as np
 from mjlab_deploy.arrays import Arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.closed_loop import ClosedLoop
+from mjlab_deploy.description import ACTION
 from mjlab_deploy.errors import DeployError, reading
-from mjlab_deploy.policy import ACTION, Policy
+from mjlab_deploy.policy import Policy
 
 TOLERANCE = 1e-4
 """Largest error of observations, actions and targets, relative to 1 + |value|."""
@@ -70,8 +71,7 @@ def _replay(bundle: Bundle, golden: Arrays, report: Report) -> None:
     for term in bundle.description.observations:
       name = f"observation/{term.group}"
       if name in golden:
-        columns = slice(*term.columns) if term.columns[1] else slice(None)
-        ours, theirs = (whole[columns] for whole in (result.observations[term.group], golden[name][step]))
+        ours, theirs = term.part(result.observations[term.group]), term.part(golden[name][step])
         pairs.append((f"observation '{term.group}/{term.name}'", ours, theirs))
     pairs.append(("action", result.action, golden[ACTION][step]))
     pairs += [(f"'{name}'", value, golden[name][step]) for name, value in result.targets.items()]

@@ -2,17 +2,17 @@
 
 import contextlib
 import copy
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from mjlab_core.errors import FileError
+from mjlab_core import match_names, match_values_full
+from mjlab_core.errors import FileError, MjlabError
 
 from mjlab_rl.checkpoint import refuse
 from mjlab_rl.env_protocol import RlEnv
-from mjlab_rl.onnx_metadata import configured
 
 if TYPE_CHECKING:
   from mjlab_deploy import Bundle, Description
@@ -122,3 +122,15 @@ def _differences(description: "Description", readings: Mapping[str, Any], env: A
       trained = getattr(joint, gain)
       if trained is not None and value is not None and not np.isclose(trained, value, rtol=1e-4):
         yield f"{gain} of '{joint.name}' was {trained:g} in its training and is {value:g} here"
+
+
+def configured(entity: Any, gain: str, joints: Sequence[str]) -> list[float | None]:
+  """Return the configured gain or limit of each joint; None where its actuator has none."""
+  found: dict[str, float] = {}
+  for cfg in entity.cfg.articulation.actuators if entity.cfg.articulation is not None else ():
+    if (values := getattr(cfg, gain, None)) is None or cfg.transmission_type != "joint":
+      continue
+    names = match_names(cfg.target_names_expr, entity.joint_names, what="joint")[1]
+    with contextlib.suppress(MjlabError):
+      found |= zip(names, match_values_full(values, names, what="joint"), strict=True)
+  return [found.get(joint) for joint in joints]

@@ -1,7 +1,7 @@
 """Comparison of an exported network's metadata with its environment.
 
-The keys and formats are those of mjlab 1.x: lists are joined by commas, nested lists by semicolons, numbers have three
-decimals. Keys that are missing in the file are not compared.
+The keys and formats are those of mjlab 1.x, which `mjlab_deploy.network_metadata` reads; numbers have three decimals.
+Keys that are missing in the file are not compared.
 """
 
 import math
@@ -9,13 +9,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from mjlab_core import MjlabError, match_names, match_values_full, printable
-from mjlab_core.errors import FileError
+from mjlab_core import printable
+from mjlab_deploy.network_metadata import metadata_rows, metadata_words
+
+from mjlab_rl.bundle_policy import configured
 
 # A little more than half of the last of three decimals.
 _ABSOLUTE, _RELATIVE = 6e-4, 1e-4
 _UNCLIPPED = (-math.inf, math.inf)
-_WORDS = {"true": 1.0, "false": 0.0}
 
 
 def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence[str]) -> Iterator[str]:
@@ -27,41 +28,37 @@ def metadata_differences(metadata: Mapping[str, str], env: Any, groups: Sequence
     groups: Observation groups that the policy sees.
 
   Raises:
-    FileError: A value is malformed.
+    DeployError: A value is malformed.
   """
-  yield from _observation_differences(metadata, env, groups)
+  if (layout_of := getattr(getattr(env, "observation_manager", None), "layout", None)) is not None:
+    yield from _observation_differences(metadata, [layout for group in groups for layout in layout_of(group)])
   if (commands := getattr(env, "command_manager", None)) is not None:
     yield from _name_differences(metadata, "command_names", list(commands.active_terms))
   if terms := _action_terms(env):
     yield from _joint_differences(metadata, env.scene[terms[0].cfg.entity], terms)
 
 
-def _observation_differences(metadata: Mapping[str, str], env: Any, groups: Sequence[str]) -> Iterator[str]:
-  layout_of = getattr(getattr(env, "observation_manager", None), "layout", None)
-  if layout_of is None:
-    return
-  layouts = [layout for group in groups for layout in layout_of(group)]
+def _observation_differences(metadata: Mapping[str, str], layouts: Sequence[Any]) -> Iterator[str]:
   names = [layout.name for layout in layouts]
   if differences := list(_name_differences(metadata, "observation_names", names)):
     yield from differences
     return
   # Flattening is compared only where there is a history.
-  expected = {
-    "scale": [1.0 if layout.scale is None else layout.scale for layout in layouts],
-    "history_length": [max(layout.history_length, 1) for layout in layouts],
-    "flatten_history_dim": [
-      len(layout.shape) == len(layout.frame_shape) if layout.history_length > 1 else None for layout in layouts
-    ],
-    "clip": [_UNCLIPPED if layout.clip is None else layout.clip for layout in layouts],
-  }
-  for key, ours in expected.items():
-    yield from _number_differences(metadata, f"observation_terms_{key}", names, ours)
+  flattened = [len(item.shape) == len(item.frame_shape) if item.history_length > 1 else None for item in layouts]
+  lengths = [max(layout.history_length, 1) for layout in layouts]
+  for key, ours, absent in (
+    ("scale", [1.0 if layout.scale is None else layout.scale for layout in layouts], [1.0]),
+    ("history_length", lengths, [1.0]),
+    ("flatten_history_dim", flattened, [1.0]),
+    ("clip", [layout.clip or _UNCLIPPED for layout in layouts], _UNCLIPPED),
+  ):
+    yield from _number_differences(metadata, f"observation_terms_{key}", names, ours, absent)
 
 
 def _joint_differences(metadata: Mapping[str, str], entity: Any, terms: Sequence[Any]) -> Iterator[str]:
   joints = list(entity.joint_names)
   targets: list[str] = [name for term in terms for name in term.target_names]
-  saved = _names(metadata, "joint_names") or joints
+  saved = metadata_words(metadata, "joint_names") if "joint_names" in metadata else joints
   # The file lists all joints, or those that are driven.
   expected = targets if len(saved) == len(targets) != len(joints) else joints
   yield from _name_differences(metadata, "joint_names", expected)
@@ -86,73 +83,36 @@ def _action_terms(env: Any) -> list[Any]:
   return terms if is_driving and len({term.cfg.entity for term in terms}) == 1 else []
 
 
-def configured(entity: Any, gain: str, joints: Sequence[str]) -> list[float | None]:
-  """Return the configured gain or limit of each joint; None where its actuator has none."""
-  found: dict[str, float] = {}
-  for cfg in entity.cfg.articulation.actuators if entity.cfg.articulation is not None else ():
-    if (values := getattr(cfg, gain, None)) is None or cfg.transmission_type != "joint":
-      continue
-    names = match_names(cfg.target_names_expr, entity.joint_names, what="joint")[1]
-    try:
-      found |= dict(zip(names, match_values_full(values, names, what="joint"), strict=True))
-    except MjlabError:
-      continue
-  return [found.get(joint) for joint in joints]
-
-
 def _name_differences(metadata: Mapping[str, str], key: str, ours: list[str]) -> Iterator[str]:
-  theirs = _names(metadata, key)
-  if theirs is None or theirs == ours:
-    return
+  theirs = metadata_words(metadata, key) if key in metadata else ours
   missing, added = [name for name in theirs if name not in ours], [name for name in ours if name not in theirs]
   if missing or added:
     parts = [f"{_listed(missing)} only in the file" if missing else "", f"{_listed(added)} only here" if added else ""]
     yield f"{key}: {', '.join(part for part in parts if part)}"
-  else:
+  elif theirs != ours:
     i = next((i for i, (a, b) in enumerate(zip(theirs, ours, strict=False)) if a != b), min(len(theirs), len(ours)))
     yield f"{key}: another order, from position {i}: {_listed(theirs[i:])} in the file and {_listed(ours[i:])} here"
 
 
 def _number_differences(
-  metadata: Mapping[str, str], key: str, names: Sequence[str], ours: Sequence[Any]
+  metadata: Mapping[str, str],
+  key: str,
+  names: Sequence[str],
+  ours: Sequence[Any],
+  absent: Sequence[float] = (),
 ) -> Iterator[str]:
-  """Yield a line for each number, or row of numbers, that differs; None in `ours` is not compared."""
-  if key not in metadata:
-    return
-  saved = _rows(metadata, key)
-  kind = "observation terms" if key.startswith("observation") else "joints"
-  if len(saved) == 1 and kind == "joints":
-    saved = saved * len(names)
-  if len(saved) != len(names):
-    yield f"{key}: {len(saved)} values in the file for {len(names)} {kind}"
-    return
-  for name, theirs, value in zip(names, saved, ours, strict=True):
+  """Yield a line for each number, or row of numbers, that differs; None in `ours` is not compared.
+
+  `absent` takes the place of None in the file.
+  """
+  saved = metadata_rows(metadata, key, len(names)) if key in metadata else ()
+  for name, theirs, value in zip(names, saved, ours, strict=False):
+    # A history of 0 frames is the present frame.
+    theirs = np.maximum(theirs, 1.0) if key.endswith("history_length") else np.array(theirs or absent)
     row = np.atleast_1d(value)
     is_comparable = len(theirs) == len(row) or 1 in (len(theirs), len(row))
     if value is not None and not (is_comparable and np.allclose(theirs, row.astype(float), _RELATIVE, _ABSOLUTE)):
       yield f"{key}: '{name}' has {_shown(theirs)} in the file and {_shown(row)} here"
-
-
-def _names(metadata: Mapping[str, str], key: str) -> list[str] | None:
-  if key not in metadata:
-    return None
-  return [name.strip() for name in metadata[key].split(",") if name.strip()]
-
-
-def _rows(metadata: Mapping[str, str], key: str) -> list[Sequence[float]]:
-  """Return the items of a list, each as a list of numbers."""
-  text = metadata[key].strip()
-  absent = _UNCLIPPED if key.endswith("clip") else (1.0,)
-  found: list[Sequence[float]] = []
-  try:
-    for item in text.split(";" if ";" in text else ","):
-      words = [word.strip(" ()[]").lower() for word in item.split(",")]
-      is_absent = words in (["none"], [""])
-      found.append(absent if is_absent else [_WORDS[word] if word in _WORDS else float(word) for word in words])
-  except ValueError as error:
-    raise FileError(f"metadata {key!r} has a value that is not a number: {printable(text, 80)}") from error
-  # A history of 0 frames is the present frame.
-  return [np.maximum(row, 1.0).tolist() for row in found] if key.endswith("history_length") else found
 
 
 def _listed(names: Sequence[str]) -> str:

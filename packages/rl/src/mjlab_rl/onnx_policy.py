@@ -10,7 +10,7 @@ from mjlab_core import printable, unknown
 from mjlab_core.errors import FileError
 from mjlab_core.files import reading
 
-from mjlab_rl.checkpoint import refuse, shape_problems
+from mjlab_rl.checkpoint import refuse
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.env_protocol import RlEnv
 from mjlab_rl.onnx_metadata import metadata_differences
@@ -47,7 +47,8 @@ class OnnxPolicy:
       self._network = OnnxGraph(onnx.load(path).SerializeToString())
       self._input, self._images = self._read_inputs()
       refuse(f"policy {path}:", metadata_differences(self._network.metadata, env, self._groups))
-      self._memory = [self._zeros() for _ in range(env.num_envs)]
+    self._memory: list[dict[str, np.ndarray]] = [{} for _ in range(env.num_envs)]
+    self.reset(None)
 
   def _read_inputs(self) -> tuple[str, list[str]]:
     """Return the input of vectors, and the image groups that are inputs."""
@@ -68,16 +69,10 @@ class OnnxPolicy:
     Raises:
       FileError: The network does not take such observations or does not return such actions.
     """
-    shapes = self._network.inputs
     with reading("policy", self._path):
       seen = torch.cat([observations[group] for group in self._groups if group not in self._images], dim=-1)
-      width = shapes[self._input][-1]
-      if width not in (0, seen.shape[-1]):
-        raise FileError(f"does not fit: it takes {width} observations, here are {seen.shape[-1]}")
       feed = {self._input: seen, **{group: observations[group] for group in self._images}}
-      trained, now = [shapes[group][1:] for group in self._images], [feed[group].shape[1:] for group in self._images]
-      refuse(f"policy {self._path}:", shape_problems(self._images, trained, now))
-      if "time_step" in shapes:
+      if "time_step" in self._network.inputs:
         feed["time_step"] = self._time_step()[:, None]
       arrays = {name: value.cpu().numpy() for name, value in feed.items()}
       rows = [
@@ -99,16 +94,13 @@ class OnnxPolicy:
     """Return the action of one world, (1, num_actions), and update its recurrent states."""
     values, wanted = self._network.run({**feed, **memory}), (1, self._env.action_manager.total_action_dim)
     actions = values[self._network.action]
-    if actions.shape != wanted or not np.issubdtype(actions.dtype, np.floating):
-      raise FileError(f"does not fit: its actions are {actions.dtype} {actions.shape}, the environment takes {wanted}")
+    if actions.shape != wanted:
+      raise FileError(f"does not fit: its actions are {actions.shape}, the environment takes {wanted}")
     memory.update({name: values[output] for name, output in self._network.states.items()})
     return actions.astype(np.float32)
-
-  def _zeros(self) -> dict[str, np.ndarray]:
-    return self._network.zeros(*self._network.states)
 
   def reset(self, dones: torch.Tensor | None) -> None:
     """Clear the recurrent states of these worlds, bool (num_envs,); None: of all."""
     for i, memory in enumerate(self._memory):
       if dones is None or bool(dones[i]):
-        memory.update(self._zeros())
+        memory.update(self._network.zeros(*self._network.states))

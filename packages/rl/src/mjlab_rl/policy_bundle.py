@@ -1,5 +1,6 @@
 """Export of policies as bundles for mjlab-deploy."""
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -19,7 +20,6 @@ from mjlab_deploy import (
   Joint,
   Memory,
   Motion,
-  Observation,
   Origin,
   Robot,
   Target,
@@ -28,14 +28,14 @@ from mjlab_deploy import (
   write_description,
 )
 from mjlab_deploy.arrays import write_arrays
+from mjlab_deploy.description import EPISODE_START, LAST_ACTION
 from mjlab_deploy.model_readings import joint_facts
-from mjlab_deploy.policy import EPISODE_START
 from mjlab_deploy.scene import write_scene
 
+from mjlab_rl.bundle_policy import configured
 from mjlab_rl.config import RslRlBaseRunnerCfg
 from mjlab_rl.manifest import package_versions
-from mjlab_rl.onnx_metadata import configured
-from mjlab_rl.policy_graph import LAST_ACTION, GraphAction, GraphTerm, PolicyGraph, export_onnx, refresh_weights
+from mjlab_rl.policy_graph import GraphAction, PolicyGraph, Tensors, export_onnx, refresh_weights
 
 GOLDEN_STEPS = 500
 """Steps of the record in a bundle."""
@@ -87,48 +87,53 @@ class BundleWriter:
     with AtomicWrite(folder) as made:
       made.mkdir()
       onnx.save(self._model, made / "policy.onnx")
-      has_scene = self._write_scene(made)
-      motion = _write_motion(self._env, made)
+      self._write_scene(made)
       if golden is not None:
         write_arrays(made / "golden.npz", golden)
       if picture is not None:
         (made / "picture.png").write_bytes(picture)
-      description = describe_policy(
+      description = _describe(
         self._env,
         graph,
-        self._task,
-        has_scene=has_scene,
-        motion=motion,
+        task=self._task,
+        motion=_write_motion(self._env, made),
         golden=None if golden is None else Golden(steps=len(golden["action"]), engine=str(self._env.sim.engine)),
+        has_scene=bool(self._scene),
+        created=datetime.now().astimezone().isoformat(timespec="seconds"),
+        versions=dict(package_versions()),
         training=_plain(training or {}),
         evaluation=_plain(evaluation or {}),
       )
       write_description(made, description)
     return description
 
-  def _write_scene(self, folder: Path) -> bool:
-    """Write the model of the first world, compiled once; return False if it needs other files."""
+  def _write_scene(self, folder: Path) -> None:
+    """Write the model of the first world, compiled once; nothing if it needs other files."""
     if self._scene is None:
       spec, sim = self._env.scene.spec.copy(), self._env.sim
       self._env.cfg.sim.apply(spec)
-      own = {name: sim.model[name][0].detach().cpu().numpy() for name in sim.expanded_fields}
-      before = set(folder.iterdir())
-      write_scene(spec, folder, own)
-      self._scene = {path.name: path.read_bytes() for path in folder.iterdir() if path not in before}
+      write_scene(spec, folder, {name: sim.model[name][0].detach().cpu().numpy() for name in sim.expanded_fields})
+      self._scene = {path.name: path.read_bytes() for path in folder.glob("scene.*")}
     for name, content in self._scene.items():
       (folder / name).write_bytes(content)
-    return bool(self._scene)
 
 
-def describe_policy(env: Any, graph: PolicyGraph, task: str, **parts: Any) -> Description:
-  """Return the contents of `bundle.json` for a policy in its environment; `parts` are further fields."""
+def _describe(env: Any, graph: PolicyGraph, **parts: Any) -> Description:
+  """Return the contents of `bundle.json` for a policy in its environment; `parts` are fields that neither gives."""
   entities = {action.term.cfg.entity for action in graph.actions}
   if len(entities) != 1:
     raise MjlabError(f"the actions drive {len(entities)} entities; a bundle is of one robot")
-  driven = {joint for action in graph.actions for joint in action.targets.joints}
+  targets = tuple(
+    Target(
+      name=name,
+      quantity=actions[0].targets.quantity,
+      joints=tuple(joint for action in actions for joint in action.targets.joints),
+    )
+    for name, actions in graph.targets.items()
+  )
+  scales = [_scale(action) for action in graph.actions]
   return Description(
-    task=task,
-    robot=_robot(env, entities.pop(), driven),
+    robot=_robot(env, entities.pop(), [joint for target in targets for joint in target.joints]),
     timing=Timing(
       physics_dt=env.physics_dt,
       decimation=env.cfg.decimation,
@@ -137,20 +142,11 @@ def describe_policy(env: Any, graph: PolicyGraph, task: str, **parts: Any) -> De
     ),
     inputs=tuple(_input(reading) for reading in graph.readings.values()),
     memories=tuple(Memory(input=name, output=f"{name}/next", shape=shape) for name, shape in graph.memories.items()),
-    targets=tuple(
-      Target(
-        name=output,
-        quantity=parts[0].targets.quantity,
-        joints=tuple(joint for part in parts for joint in part.targets.joints),
-      )
-      for output, parts in graph.targets.items()
-    ),
-    observations=tuple(_observation(env, term) for term in graph.terms),
+    targets=targets,
+    observations=tuple(term.described for term in graph.terms),
     action_names=tuple(name for action in graph.actions for name in _column_names(action)),
-    action_scale=_scale(graph.actions),
+    action_scale=tuple(itertools.chain(*scales)) if all(scales) else None,
     commands=_commands(env, graph),
-    created=datetime.now().astimezone().isoformat(timespec="seconds"),
-    versions=dict(package_versions()),
     **parts,
   )
 
@@ -161,43 +157,40 @@ def _column_names(action: GraphAction) -> Sequence[str]:
   return joints if len(joints) == width else [f"action {i}" for i in range(width)]
 
 
-def _scale(actions: Sequence[GraphAction]) -> tuple[float, ...] | None:
-  """Return the scale of each joint; None if an action has none."""
-  rows = []
-  for action in actions:
-    if (scale := getattr(action.term, "scale", None)) is None:
-      return None
-    rows.append(scale.expand(1, len(action.targets.joints)))
-  return tuple(torch.cat(rows, 1).flatten().tolist())
+def _scale(action: GraphAction) -> list[float]:
+  """Return the scale of each joint of an action; nothing if it has none."""
+  scale = getattr(action.term, "scale", None)
+  return [] if scale is None else scale.expand(1, len(action.targets.joints)).flatten().tolist()
 
 
-def _robot(env: Any, name: str, driven: set[str]) -> Robot:
+def _robot(env: Any, name: str, driven: Sequence[str]) -> Robot:
   entity = env.scene[name]
   names = list(entity.joint_names)
   fields = ("stiffness", "damping", "effort_limit", "velocity_limit")
-  numbers: dict[str, Any] = {field: configured(entity, field, names) for field in fields}
+  rows = zip(names, *(configured(entity, field, names) for field in fields), strict=True)
   pose = entity.data.default_joint_pos[0].tolist()
-  joints = tuple(
-    Joint(
-      name=joint,
-      default_position=pose[i] if len(pose) == len(names) else 0.0,
-      is_driven=joint in driven,
-      **joint_facts(env.sim.mj_model, entity.prefix + joint),
-      **{field: values[i] for field, values in numbers.items()},
-    )
-    for i, joint in enumerate(names)
-  )
   actuators = entity.cfg.articulation.actuators if entity.cfg.articulation is not None else ()
   # MuJoCo, or a drive of a robot, computes this model from a position target.
   is_servo = {type(cfg).__name__ for cfg in actuators} == {"NativePositionActuatorCfg"}
-  delays = [(cfg.delay_min_lag, cfg.delay_max_lag) for cfg in actuators] or [(0, 0)]
   return Robot(
     name=name,
-    joints=joints,
+    joints=tuple(
+      Joint(
+        name=joint,
+        default_position=pose[i] if len(pose) == len(names) else 0.0,
+        is_driven=joint in driven,
+        **joint_facts(env.sim.mj_model, entity.prefix + joint),
+        **dict(zip(fields, numbers, strict=True)),
+      )
+      for i, (joint, *numbers) in enumerate(rows)
+    ),
     root_body=entity.root_body_name,
     is_floating=entity.is_floating,
     actuator_model="position_servo" if is_servo else "other",
-    delay_range=(min(low for low, _ in delays), max(high for _, high in delays)),
+    delay_range=(
+      min((cfg.delay_min_lag for cfg in actuators), default=0),
+      max((cfg.delay_max_lag for cfg in actuators), default=0),
+    ),
   )
 
 
@@ -212,34 +205,16 @@ def _input(reading: Any) -> Input:
   )
 
 
-def _observation(env: Any, term: GraphTerm) -> Observation:
-  layout = term.layout
-  cfg = env.observation_manager.get_term_cfg(term.group, layout.name)
-  scale = layout.scale
-  return Observation(
-    group=term.group,
-    name=layout.name,
-    columns=(layout.columns.start, layout.columns.stop) if len(layout.shape) == 1 else (0, 0),
-    shape=tuple(layout.shape),
-    sources=tuple(LAST_ACTION if name == f"memory/{LAST_ACTION}" else name for name in term.inputs),
-    scale=scale if scale is None or isinstance(scale, int | float) else tuple(map(float, scale)),
-    clip=layout.clip,
-    history_length=layout.history_length,
-    delay_range=(cfg.delay_min_lag, cfg.delay_max_lag),
-  )
-
-
 def _commands(env: Any, graph: PolicyGraph) -> tuple[Command, ...]:
   """Return the commands that are readings of the graph, with the ranges of those that have axes."""
-  known: dict[str, Command] = {}
+  found = {name: Command(input=name, ranges={}) for name in graph.readings if name.startswith("command/")}
   for name in env.command_manager.active_terms:
     term = env.command_manager.get_term(name)
     sources = [reading.name for reading in term.source().readings]
-    if len(sources) == 1 and sources[0].startswith("command/"):
+    if len(sources) == 1 and sources[0] in found:
       ranges = {axis: (float(low), float(high)) for axis, low, high in term.axes}
-      known[sources[0]] = Command(input=sources[0], name=name, ranges=ranges)
-  inputs = [name for name in graph.readings if name.startswith("command/")]
-  return tuple(known.get(name, Command(input=name, ranges={})) for name in inputs)
+      found[sources[0]] = Command(input=sources[0], name=name, ranges=ranges)
+  return tuple(found.values())
 
 
 def _write_motion(env: Any, folder: Path) -> Motion | None:
@@ -278,7 +253,7 @@ def record(
     MjlabError: Environment and graph observe different values, so the declared source of a term is wrong.
   """
   graph = PolicyGraph(env, agent, network)
-  rows: dict[str, list[np.ndarray]] = {}
+  rows: list[dict[str, torch.Tensor]] = []
   memories: dict[str, torch.Tensor] = {}
   start = True
   policy.reset(None)
@@ -289,36 +264,32 @@ def record(
       if start:
         memories = {name: torch.zeros(shape) for name, shape in graph.memories.items()}
       outputs = graph.named(readings | memories | {EPISODE_START: torch.full((1, 1), float(start))})
-      memories = {name: outputs[f"{name}/next"] for name in memories}
+      memories = {name: outputs.pop(f"{name}/next") for name in memories}
       _check_observations(graph, observations, outputs)
-      row = {f"input/{name}": value[0] for name, value in readings.items()}
-      row |= {name: value[0] for name, value in outputs.items() if not name.endswith("/next")}
-      row |= {"state/qpos": env.sim.data.qpos[0].double(), "state/qvel": env.sim.data.qvel[0].double()}
-      row["episode_start"] = torch.tensor(float(start))
       # The trained network acts, not its graph.
       action = policy(observations)
-      row["action"] = action[0]
-      if f"memory/{LAST_ACTION}" in memories:
+      if LAST_ACTION in memories:
         # The environment observes this action. Feedback would amplify the rounding of the graph's own action.
-        memories[f"memory/{LAST_ACTION}"] = action[:1].detach().cpu().float()
-      for name, value in row.items():
-        rows.setdefault(name, []).append(value.detach().cpu().numpy().copy())
+        memories[LAST_ACTION] = action[:1].detach().cpu().float()
+      row = {f"input/{name}": value for name, value in readings.items()} | outputs | {"action": action}
+      row |= {"state/qpos": env.sim.data.qpos.double(), "state/qvel": env.sim.data.qvel.double()}
+      row["episode_start"] = torch.tensor([float(start)])
+      rows.append({name: value[0].detach().cpu().clone() for name, value in row.items()})
       observations, _, terminated, truncated, _ = env.step(action)
       dones = terminated | truncated
       policy.reset(dones)
       start = bool(dones[0])
-  return {name: np.stack(values) for name, values in rows.items()}
+  return {name: torch.stack([row[name] for row in rows]).numpy() for name in rows[0]}
 
 
-def _check_observations(
-  graph: PolicyGraph, observations: Mapping[str, torch.Tensor], outputs: Mapping[str, Any]
-) -> None:
+def _check_observations(graph: PolicyGraph, observations: Tensors, outputs: Tensors) -> None:
   for term in graph.terms:
-    columns = term.layout.columns if len(term.layout.shape) == 1 else slice(None)
-    ours = observations[term.group][0].cpu().float()[columns]
-    difference = (ours - outputs[f"observation/{term.group}"][0][columns]).abs()
+    group, name = term.described.group, term.described.name
+    ours = term.described.part(observations[group][0].cpu().float())
+    theirs = term.described.part(outputs[f"observation/{group}"][0])
+    difference = (ours - theirs).abs()
     if bool((difference > 1e-4 * (1.0 + ours.abs())).any()):
-      what = f"observation '{term.group}/{term.layout.name}' differs from its declared source"
+      what = f"observation '{group}/{name}' differs from its declared source"
       raise MjlabError(f"{what} by {float(difference.max()):.3g}: `compute` of its TermSource must return its value")
 
 

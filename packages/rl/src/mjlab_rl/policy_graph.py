@@ -11,40 +11,44 @@ from typing import Any
 import numpy as np
 import torch
 from mjlab_core.errors import MjlabError
-from mjlab_deploy.policy import ACTION, EPISODE_START
+from mjlab_deploy import Observation
+from mjlab_deploy.description import ACTION, EPISODE_START, LAST_ACTION
 from torch import nn
 
 from mjlab_rl.config import RslRlBaseRunnerCfg
 
-LAST_ACTION = "last_action"
-"""Reading with the raw action of the last step; a memory of the graph."""
+Tensors = Mapping[str, torch.Tensor]
 
 
 @dataclass(frozen=True)
 class GraphTerm:
   """Observation term of a graph."""
 
-  group: str
-  layout: Any
-  """Its `TermLayout`."""
-  inputs: tuple[str, ...]
-  """Names of its inputs in the graph."""
+  described: Observation
   compute: Callable[..., torch.Tensor] | None
-  """Function of the inputs; None returns the only one."""
+  """Function of its sources; None returns the only one."""
+
+  @property
+  def memory(self) -> str:
+    """Name of the memory of its history."""
+    return f"memory/history/{self.described.group}/{self.described.name}"
 
 
 @dataclass(frozen=True)
 class GraphAction:
   """Action term of a graph."""
 
+  name: str
   term: Any
   columns: slice
   """Columns in the raw action."""
   targets: Any
   """Its `ActionTargets`."""
-  inputs: tuple[str, ...]
-  memory: str | None
-  """Memory of the last targets; None without one."""
+
+  @property
+  def memory(self) -> str:
+    """Name of the memory of its last targets."""
+    return f"memory/target/{self.name}"
 
 
 class PolicyGraph(nn.Module):
@@ -64,13 +68,10 @@ class PolicyGraph(nn.Module):
 
   def __init__(self, env: Any, agent: RslRlBaseRunnerCfg, network: Any) -> None:
     super().__init__()
-    with contextlib.redirect_stdout(io.StringIO()):
-      exported: Any = network.as_onnx(verbose=False).to("cpu").eval()
-    self.network: nn.Module = exported
+    with _quiet():
+      self.network: Any = network.as_onnx(verbose=False).to("cpu").eval()
     self.groups = list(agent.obs_groups[agent.policy])
     self._clip = agent.clip_actions
-    self._network_inputs: list[str] = list(exported.input_names)
-    self._network_outputs: list[str] = list(exported.output_names)
     self.readings: dict[str, Any] = {}
     """Readings by name, without the last action."""
     self.memories: dict[str, tuple[int, ...]] = {}
@@ -81,50 +82,57 @@ class PolicyGraph(nn.Module):
     """Observation terms in the order of the network's input."""
     self.actions = [self._action(env, name, columns) for name, columns in env.action_manager.term_slices().items()]
     """Action terms in the order of the raw action."""
+    self.targets: dict[str, list[GraphAction]] = {}
+    """Action terms by the name of the output with their joint targets, "target/QUANTITY"."""
+    for action in self.actions:
+      self.targets.setdefault(f"target/{action.targets.quantity}", []).append(action)
     self._states: dict[str, str] = {}
-    for name, value in zip(self._network_inputs, exported.get_dummy_inputs(), strict=True):
+    for name, value in zip(self.network.input_names, self.network.get_dummy_inputs(), strict=True):
       if name not in ("obs", *self.groups):
         self._states[name] = f"memory/{name.removesuffix('_in')}"
         self.memories[self._states[name]] = tuple(value.shape)
     self._needs_start = any(name.startswith(("memory/history/", "memory/target/")) for name in self.memories)
 
   def _term(self, env: Any, group: str, layout: Any) -> GraphTerm:
-    source = env.observation_manager.source(group, layout.name)
-    inputs = []
+    manager = env.observation_manager
+    source, cfg = manager.source(group, layout.name), manager.get_term_cfg(group, layout.name)
     for reading in source.readings:
-      if reading.name == LAST_ACTION:
-        self.memories[f"memory/{LAST_ACTION}"] = (1, env.action_manager.total_action_dim)
-        inputs.append(f"memory/{LAST_ACTION}")
+      if f"memory/{reading.name}" == LAST_ACTION:
+        self.memories[LAST_ACTION] = (1, env.action_manager.total_action_dim)
       else:
-        inputs.append(self._add(reading, f"observation '{group}/{layout.name}'"))
+        self._add(reading, f"observation '{group}/{layout.name}'")
+    described = Observation(
+      group=group,
+      name=layout.name,
+      columns=(layout.columns.start, layout.columns.stop) if len(layout.shape) == 1 else (0, 0),
+      shape=tuple(layout.shape),
+      sources=tuple(reading.name for reading in source.readings),
+      scale=layout.scale,
+      clip=layout.clip,
+      history_length=layout.history_length,
+      delay_range=(cfg.delay_min_lag, cfg.delay_max_lag),
+    )
+    term = GraphTerm(described, source.compute)
     if layout.history_length > 1:
-      self.memories[f"memory/history/{group}/{layout.name}"] = (1, layout.history_length, *layout.frame_shape)
-    return GraphTerm(group, layout, tuple(inputs), source.compute)
+      self.memories[term.memory] = (1, layout.history_length, *layout.frame_shape)
+    return term
 
-  def _add(self, reading: Any, owner: str) -> str:
+  def _add(self, reading: Any, owner: str) -> None:
     known = self.readings.setdefault(reading.name, reading)
     if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
       raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
-    return reading.name
 
   def _action(self, env: Any, name: str, columns: slice) -> GraphAction:
     term = env.action_manager.get_term(name)
     if (targets := term.exported()) is None:
       what = f"action '{name}' ({type(term).__name__}) has no computation outside the simulation"
       raise MjlabError(f"{what}, so the policy cannot be exported; use an action that sets joint targets")
-    inputs = tuple(self._add(reading, f"action '{name}'") for reading in targets.readings)
-    memory = f"memory/target/{name}" if targets.start is not None else None
-    if memory is not None:
-      self.memories[memory] = (1, len(targets.joints))
-    return GraphAction(term, columns, targets, inputs, memory)
-
-  @property
-  def targets(self) -> dict[str, list[GraphAction]]:
-    """Actions by name of the output with their joint targets, "target/QUANTITY"."""
-    by_name: dict[str, list[GraphAction]] = {}
-    for action in self.actions:
-      by_name.setdefault(f"target/{action.targets.quantity}", []).append(action)
-    return by_name
+    for reading in targets.readings:
+      self._add(reading, f"action '{name}'")
+    action = GraphAction(name, term, columns, targets)
+    if targets.start is not None:
+      self.memories[action.memory] = (1, len(targets.joints))
+    return action
 
   @property
   def input_names(self) -> list[str]:
@@ -143,7 +151,7 @@ class PolicyGraph(nn.Module):
     memories = [torch.zeros(shape) for shape in self.memories.values()]
     return (*readings, *memories, *([torch.ones(1, 1)] if self._needs_start else []))
 
-  def named(self, given: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+  def named(self, given: Tensors) -> dict[str, torch.Tensor]:
     """Return the outputs by name for inputs by name."""
     return dict(zip(self.output_names, self(*(given[name] for name in self.input_names)), strict=True))
 
@@ -153,53 +161,51 @@ class PolicyGraph(nn.Module):
     following: dict[str, torch.Tensor] = {}
     seen: dict[str, list[torch.Tensor]] = {group: [] for group in self.groups}
     for term in self.terms:
-      seen[term.group].append(self._observe(term, given, following))
+      seen[term.described.group].append(self._observe(term, given, following))
     observations = {group: torch.cat(parts, 1) for group, parts in seen.items()}
     # Images are separate inputs of the network.
-    images = set(self._network_inputs) - {"obs"}
-    vectors = [observations[group] for group in self.groups if group not in images]
+    inputs: list[str] = list(self.network.input_names)
+    vectors = [observations[group] for group in self.groups if group not in inputs or group == "obs"]
     feed = observations | ({"obs": torch.cat(vectors, 1)} if vectors else {})
     feed |= {name: given[memory] for name, memory in self._states.items()}
-    result = self.network(*(feed[name] for name in self._network_inputs))
-    outputs = dict(zip(self._network_outputs, result if isinstance(result, tuple) else (result,), strict=False))
+    result = self.network(*(feed[name] for name in inputs))
+    outputs = dict(zip(self.network.output_names, result if isinstance(result, tuple) else (result,), strict=False))
     action = outputs["actions"]
     if self._clip is not None:
       action = action.clamp(-self._clip, self._clip)
     for name, memory in self._states.items():
       following[memory] = outputs[name.replace("_in", "_out")]
     # Copies, because one tensor cannot have two names.
-    following[f"memory/{LAST_ACTION}"] = action + 0.0
+    following[LAST_ACTION] = action + 0.0
     targets = [
       torch.cat([self._target(part, action, given, following) for part in parts], 1) for parts in self.targets.values()
     ]
     shown = [observations[group] + 0.0 for group in self.groups]
     return (*targets, action, *shown, *(following[name] for name in self.memories))
 
-  def _observe(
-    self, term: GraphTerm, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
-  ) -> torch.Tensor:
-    inputs, layout = [given[name] for name in term.inputs], term.layout
+  @staticmethod
+  def _observe(term: GraphTerm, given: Tensors, following: dict[str, torch.Tensor]) -> torch.Tensor:
+    described = term.described
+    inputs = [given[name if name in given else f"memory/{name}"] for name in described.sources]
     frame = (inputs[0] if term.compute is None else term.compute(*inputs)).float()
-    if layout.clip is not None:
-      frame = frame.clamp(*layout.clip)
-    if layout.scale is not None:
-      scale = torch.as_tensor(layout.scale, dtype=torch.float32)
-      frame = frame * (scale if scale.dim() == 0 else scale.view(1, *layout.frame_shape))
-    if layout.history_length > 1:
-      name = f"memory/history/{term.group}/{layout.name}"
-      past = torch.cat((given[name][:, 1:], frame[:, None]), 1)
+    if described.clip is not None:
+      frame = frame.clamp(*described.clip)
+    if described.scale is not None:
+      scale = torch.as_tensor(described.scale, dtype=torch.float32)
+      frame = frame * (scale if scale.dim() == 0 else scale.view(frame.shape))
+    if described.history_length > 1:
+      past = torch.cat((given[term.memory][:, 1:], frame[:, None]), 1)
       start = given[EPISODE_START].view(1, *[1] * (past.dim() - 1))
       # At the start of an episode the past is filled with the present.
-      frame = start * frame[:, None].expand_as(past) + (1.0 - start) * past
-      following[name] = frame
-    return frame.reshape(1, *layout.shape)
+      frame = following[term.memory] = start * frame[:, None].expand_as(past) + (1.0 - start) * past
+    return frame.reshape(1, *described.shape)
 
   @staticmethod
   def _target(
-    part: GraphAction, action: torch.Tensor, given: Mapping[str, torch.Tensor], following: dict[str, torch.Tensor]
+    part: GraphAction, action: torch.Tensor, given: Tensors, following: dict[str, torch.Tensor]
   ) -> torch.Tensor:
-    mine, readings = action[:, part.columns], [given[name] for name in part.inputs]
-    if part.memory is None:
+    mine, readings = action[:, part.columns], [given[reading.name] for reading in part.targets.readings]
+    if part.targets.start is None:
       return part.targets.compute(mine, *readings)
     start = given[EPISODE_START]
     last = start * part.targets.start(*readings) + (1.0 - start) * given[part.memory]
