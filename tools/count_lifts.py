@@ -16,6 +16,7 @@ from mjlab.demos import TASKS, shipped
 from mjlab.environments import standard_env
 from mjlab.registry import load_task
 from mjlab_deploy import Bundle, open_bundle
+from mjlab_deploy.loopback import RATE
 from mjlab_deploy.simulated_run import SimulatedRun
 from mjlab_manipulation.lift import COMMAND, HOLD, TOLERANCE
 
@@ -60,7 +61,7 @@ def episode(bundle: Bundle, start: np.ndarray, goal: np.ndarray, env: Any = None
   robot._cameras = images or robot._cameras
   cube = robot.data.joint("cube/cube")
   cube.qpos[:] = start
-  held, highest, needed = 0, 0.0, round(HOLD * robot.rate)
+  held, highest, needed = 0, 0.0, round(HOLD * RATE)
   while held < needed and robot.time < STAND + SECONDS and run.runner.reason in ("", "not started"):
     run.advance()
     highest = max(highest, float(cube.qpos[2]))

@@ -4,7 +4,7 @@ import math
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
@@ -44,10 +44,9 @@ def read_arrays(path: Path, max_bytes: int) -> Arrays:
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
   """Write arrays by name into an .npz file that `read_arrays` takes."""
-  with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-    for name, array in arrays.items():
-      with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-        np.lib.format.write_array(file, np.ascontiguousarray(array), version=(1, 0), allow_pickle=False)
+  whole: dict[str, Any] = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
+  with path.open("wb") as file:
+    np.savez_compressed(file, **whole)
 
 
 def _header(file: IO[bytes]) -> tuple[np.dtype, tuple[int, ...]]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError, check_known, reading
-from mjlab_deploy.model_readings import ModelReadings, Readings, actuators_of, joint_id
+from mjlab_deploy.model_readings import ModelReadings, Readings, actuators_of
 from mjlab_deploy.scene import load_scene
 
 
@@ -28,14 +28,14 @@ class ClosedLoop:
     self.data = mujoco.MjData(self.model)
     self.sensors = ModelReadings(self.model, self.description)
     robot, model = self.description.robot, self.model
-    self._columns = [(target.name, i) for target in self.description.targets for i in range(len(target.joints))]
     joints, self._actuators, factors = [], [], []
     for target in self.description.targets:
       for name in target.joints:
         check_known("targets: joint of the robot", name, robot.joint_names)
-        joint = robot.joints[robot.joint_names.index(name)]
+        number = robot.joint_names.index(name)
+        joint = robot.joints[number]
         with reading(f"joint '{name}' needs one actuator in scene.xml", ValueError):
-          (actuator,) = actuators_of(model, joint_id(model, f"{robot.name}/{name}"))
+          (actuator,) = actuators_of(model, self.sensors.joints[number])
         gear, factor = float(model.actuator_gear[actuator, 0]), 0.0
         if target.quantity == "effort":
           factor = 1.0 / gear
@@ -43,7 +43,7 @@ class ClosedLoop:
           factor = gear
         elif target.quantity == "velocity" or joint.stiffness is None or joint.damping is None:
           raise DeployError(f"joint '{name}': its actuator model is not one that MuJoCo computes")
-        joints.append(robot.joint_names.index(name))
+        joints.append(number)
         self._actuators.append(actuator)
         factors.append(factor)
     self._qpos, self._qvel, self._factor = self.sensors.qpos[joints], self.sensors.qvel[joints], np.array(factors)
@@ -69,7 +69,8 @@ class ClosedLoop:
 
   def step(self, targets: Mapping[str, np.ndarray]) -> None:
     """Apply targets for one period of the policy."""
-    data, wanted = self.data, np.array([targets[name][column] for name, column in self._columns], dtype=float)
+    data = self.data
+    wanted = np.concatenate([targets[target.name] for target in self.description.targets]).astype(float)
     for _ in range(self.description.timing.decimation):
       effort = self._kp * (wanted - data.qpos[self._qpos]) - self._kd * data.qvel[self._qvel]
       data.ctrl[self._actuators] = self._factor * wanted + np.clip(effort, -self._limit, self._limit)

@@ -79,6 +79,7 @@ def _seconds(text: str) -> float:
 
 
 def _run(arguments: argparse.Namespace) -> int:
+  from mjlab_deploy.run_log import plot_joints, write_log
   from mjlab_deploy.simulated_run import SimulatedRun
 
   with _opened(arguments) as bundle:
@@ -87,12 +88,10 @@ def _run(arguments: argparse.Namespace) -> int:
       run.watch(arguments.seconds)
     else:
       run.run(10.0 if arguments.seconds is None else arguments.seconds)
-    if arguments.log is not None:
-      run.write_log(arguments.log)
-      print(f"wrote {arguments.log}")
-    if arguments.plot is not None:
-      run.plot(arguments.plot)
-      print(f"wrote {arguments.plot}")
+    for write, path in ((write_log, arguments.log), (plot_joints, arguments.plot)):
+      if path is not None:
+        write(Path(path), bundle.description.robot.joint_names, run.log())
+        print(f"wrote {path}")
   print(run.summary())
   return 0 if run.runner.phase == "policy" else 1
 

@@ -26,14 +26,16 @@ class ModelReadings:
 
   def __init__(self, model: mujoco.MjModel, description: Description) -> None:
     self.model = model
-    self._prefix = f"{description.robot.name}/" if description.robot.name else ""
+    prefix = f"{description.robot.name}/" if description.robot.name else ""
     self.inputs: list[Input] = [
       item for item in description.inputs if item.origin is not None and item.origin.quantity not in CAMERA
     ]
-    joints = [joint_id(model, self._prefix + joint.name) for joint in description.robot.joints]
-    self.qpos = model.jnt_qposadr[joints]
+    with reading("scene.xml", KeyError):
+      self.joints = [model.joint(f"{prefix}{joint.name}").id for joint in description.robot.joints]
+      """Numbers of the robot's joints."""
+    self.qpos = model.jnt_qposadr[self.joints]
     """Columns of the robot's joints in qpos."""
-    self.qvel = model.jnt_dofadr[joints]
+    self.qvel = model.jnt_dofadr[self.joints]
     """Columns of the robot's joints in qvel."""
     # Find missing elements now.
     self.read(mujoco.MjData(model))
@@ -55,24 +57,19 @@ class ModelReadings:
     if origin.quantity == "sensor":
       return data.sensor(origin.name).data.copy()
     element = data.site(origin.name) if origin.object_type == "site" else data.body(origin.name)
-    rotation = element.xmat.reshape(3, 3)
-    if origin.quantity == "projected_gravity":
-      return -rotation[2].copy()
     if origin.quantity in ("linear_velocity", "angular_velocity"):
       velocity = np.zeros(6)
       mujoco.mj_objectVelocity(self.model, data, mujoco.mjtObj.mjOBJ_XBODY, element.id, velocity, 1)
       return velocity[3:] if origin.quantity == "linear_velocity" else velocity[:3]
+    frame = data.body(origin.relative_to or 0)
+    to_frame = frame.xmat.reshape(3, 3).T
     if origin.quantity == "position":
-      if not origin.relative_to:
-        return element.xpos.copy()
-      frame = data.body(origin.relative_to)
-      return frame.xmat.reshape(3, 3).T @ (element.xpos - frame.xpos)
+      return to_frame @ (element.xpos - frame.xpos)
+    rotation = to_frame @ element.xmat.reshape(3, 3)
+    if origin.quantity == "projected_gravity":
+      return -rotation[2]
     quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, element.xmat)
-    if origin.relative_to:
-      inverse = np.zeros(4)
-      mujoco.mju_negQuat(inverse, data.body(origin.relative_to).xquat)
-      mujoco.mju_mulQuat(quat, inverse, quat.copy())
+    mujoco.mju_mat2Quat(quat, rotation.ravel())
     return quat
 
 
@@ -89,13 +86,3 @@ def joint_facts(model: mujoco.MjModel, name: str) -> dict[str, Any]:
     "armature": float(model.dof_armature[joint.dofadr[0]]),
     "position_range": tuple(joint.range.tolist()) if joint.limited[0] else None,
   }
-
-
-def joint_id(model: mujoco.MjModel, name: str) -> int:
-  """Return the number of a joint.
-
-  Raises:
-    DeployError: The model has no such joint; the message lists its joints.
-  """
-  with reading("scene.xml", KeyError):
-    return model.joint(name).id

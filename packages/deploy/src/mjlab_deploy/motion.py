@@ -38,11 +38,6 @@ class MotionPlayer:
     """Start the clip again."""
     self.frame = min(1, self._last)
 
-  @property
-  def is_over(self) -> bool:
-    """True once the last frame is shown."""
-    return self.frame >= self._last
-
   def align(self, position: np.ndarray, orientation: np.ndarray) -> None:
     """Turn and shift the clip on the ground so that its first anchor has the heading and place of the robot's."""
     first = self._arrays["anchor_orientation"][0]

@@ -6,11 +6,25 @@ from pathlib import Path
 
 import numpy as np
 
+from mjlab_deploy.arrays import write_arrays
 from mjlab_deploy.errors import library, reading
 
 _COLUMNS = 4
 STATES, COMMANDS, OPERATOR = "/joint_states", "/joint_commands", "/operator_commands"
 """Topics; the first two have the fields of `sensor_msgs/JointState`, which `mjlab-sysid` reads too."""
+
+
+def write_log(path: Path, joints: Sequence[str], rows: Mapping[str, np.ndarray]) -> None:
+  """Write the rows of a run as .mcap if the path ends so, or else as .npz.
+
+  Raises:
+    DeployError: The file cannot be written, or a library is not installed.
+  """
+  if path.suffix == ".mcap":
+    write_mcap(path, joints, rows)
+  else:
+    with reading(path):
+      write_arrays(path, rows)
 
 
 def write_mcap(path: Path, joints: Sequence[str], rows: Mapping[str, np.ndarray]) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from itertools import zip_longest
 from typing import Literal
 
 import numpy as np
@@ -52,7 +53,8 @@ class Runner:
     """Present phase."""
     self.reason = "not started"
     """Reason for damping."""
-    self.command = {item.input: np.zeros(self._width(item.input)) for item in self.description.commands}
+    sizes = {item.name: math.prod(item.shape) for item in self.description.inputs}
+    self.command = {item.input: np.zeros(sizes[item.input]) for item in self.description.commands}
     """Commands of the operator by input; write into the arrays, values are limited to the ranges of the training."""
     self.targets = self._default.copy()
     """Newest joint targets [rad]."""
@@ -62,18 +64,12 @@ class Runner:
     self._from = self._default
     self._held = np.zeros_like(self._default)
 
-  def _width(self, name: str) -> int:
-    return next(math.prod(item.shape) for item in self.description.inputs if item.name == name)
-
   def _problems(self) -> Iterator[str]:
     """Yield a line for each reason not to move the robot."""
     info, robot, timing = self.robot.info(), self.description.robot, self.description.timing
-    names = robot.joint_names
-    for i, (ours, theirs) in enumerate(zip(names, info.joint_names, strict=False)):
+    for i, (ours, theirs) in enumerate(zip_longest(robot.joint_names, info.joint_names, fillvalue="missing")):
       if ours != theirs:
         yield f"joint {i} is '{ours}' in the bundle and '{theirs}' on the robot"
-    if len(info.joint_names) != len(names):
-      yield f"the bundle has {len(names)} joints, the robot {len(info.joint_names)}"
     for gain in ("stiffness", "damping"):
       for joint, value in zip(robot.joints, getattr(info, gain) or (), strict=False):
         wanted = getattr(joint, gain)

@@ -3,16 +3,14 @@
 import importlib
 import time
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
-from mjlab_deploy.arrays import write_arrays
+from mjlab_deploy.arrays import Arrays
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.errors import DeployError
 from mjlab_deploy.gamepad import connected_gamepad
 from mjlab_deploy.loopback import RATE, LoopbackRobot
-from mjlab_deploy.run_log import plot_joints, write_mcap
 from mjlab_deploy.runner import Runner
 from mjlab_deploy.safety import SafetyLimits
 
@@ -56,7 +54,7 @@ class SimulatedRun:
       values[:] = command
     self._pushes, self._next_push = pushes and bundle.description.robot.is_floating, _STAND_TIME + _PUSH_EVERY
     self._rng = np.random.default_rng(0)
-    self._rows: list[dict[str, np.ndarray]] = []
+    self._rows: list[Arrays] = []
 
   def advance(self) -> None:
     """Advance by one message."""
@@ -71,7 +69,7 @@ class SimulatedRun:
     if (state := robot.read()) is not None:
       row = {"time": np.array(state.time), "position": state.position, "velocity": state.velocity}
       row |= {"target": runner.targets.copy(), "is_policy": np.array(float(runner.phase == "policy"))}
-      self._rows.append(row | {name: value.copy() for name, value in runner.command.items()})
+      self._rows.append(row | {name.replace("/", "_"): value.copy() for name, value in runner.command.items()})
 
   def run(self, seconds: float) -> None:
     """Run as fast as possible, until the time is over or the runner returns to damping."""
@@ -110,30 +108,11 @@ class SimulatedRun:
     """Return the result in one line."""
     if self.runner.phase == "damping":
       return f"let go after {self.robot.time:.2f} s: {self.runner.reason}"
-    log = self._log()
+    log = self.log()
     error = np.abs(log["position"] - log["target"])[log["is_policy"] > 0]
     mean = float(error.mean()) if error.size else 0.0
     return f"ran {self.robot.time:.1f} s; joints are {mean:.3f} rad from their targets on average"
 
-  def write_log(self, path: str) -> None:
-    """Write times, measured and commanded joints and commands, one row per message, as .mcap or else as .npz.
-
-    Raises:
-      DeployError: The file cannot be written.
-    """
-    if path.endswith(".mcap"):
-      write_mcap(Path(path), self.runner.description.robot.joint_names, self._log())
-    else:
-      write_arrays(Path(path), self._log())
-
-  def plot(self, path: str) -> None:
-    """Draw commanded and measured joints over time into a picture.
-
-    Raises:
-      DeployError: Matplotlib is not installed, or the picture cannot be written.
-    """
-    plot_joints(Path(path), self.runner.description.robot.joint_names, self._log())
-
-  def _log(self) -> dict[str, np.ndarray]:
-    names = self._rows[0] if self._rows else ()
-    return {name.replace("/", "_"): np.stack([row[name] for row in self._rows]) for name in names}
+  def log(self) -> Arrays:
+    """Return times, measured and commanded joints and commands, one row per message."""
+    return {name: np.stack([row[name] for row in self._rows]) for name in (self._rows or [{}])[0]}

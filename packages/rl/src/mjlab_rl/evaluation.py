@@ -18,6 +18,7 @@ from mjlab_rl.env_protocol import RlEnv
 RESAMPLES = 2000
 """Draws of the bootstrap."""
 CONFIDENCE = 0.95
+_THRESHOLD = re.compile(r"(?:(.+):)?([\w/]+)\s*(>=|<=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
 Policy = Callable[[Any], torch.Tensor]
 """Function from observations by group to actions, (num_envs, num_actions); a recurrent one also has `reset(dones)`."""
@@ -296,14 +297,11 @@ class Threshold:
     Raises:
       ConfigError: It is not of the form [GROUP:]METRIC>=NUMBER or <=.
     """
-    match = re.fullmatch(r"(?:(?P<group>.+):)?(?P<metric>[\w/]+)\s*(?P<sign>>=|<=)\s*(?P<bound>\S+)", text.strip())
-    try:
-      bound = float(match["bound"]) if match else math.nan
-    except ValueError:
-      bound = math.nan
-    if match is None or math.isnan(bound):
+    match = _THRESHOLD.fullmatch(text.strip())
+    if match is None:
       raise ConfigError(f"threshold {text!r}: expected [GROUP:]METRIC>=NUMBER or METRIC<=NUMBER")
-    return cls(match["group"] or "all", match["metric"], match["sign"] == ">=", bound)
+    group, metric, sign, bound = match.groups()
+    return cls(group or "all", metric, sign == ">=", float(bound))
 
   def check(self, evaluation: Evaluation) -> tuple[bool, str]:
     """Return True if the mean reaches the limit, and a line for the reader.

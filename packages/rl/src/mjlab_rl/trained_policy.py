@@ -100,12 +100,8 @@ class TrainedPolicy:
         differences.append(unknown("observation group", own, [name for name in groups if groups[name] is not None]))
       else:
         trained, now = _observations(self.run.env, group), _observations(env, own)
-        # Terms of only one side are reported as a difference in the order of terms.
-        both = [key for key in trained if key in now]
-        trained, now = ({key: side[key] for key in both} for side in (trained, now))
         differences += _differences(trained, now, f"observations.{own}")
-    differences += _differences(_control(self.run.env), _control(env), "")
-    differences += _differences(self.run.agent.clip_actions, agent.clip_actions, "agent.clip_actions")
+    differences += _differences(_control(self.run.env, self.run.agent), _control(env, agent), "")
     refuse(self.name, differences)
 
 
@@ -159,14 +155,15 @@ def _observations(env: Any, group: str) -> dict[str, Json]:
   return {"order of terms": list(terms), **encoded, **terms}
 
 
-def _control(env: Any) -> Json:
-  """Return the actions, their order and their period."""
+def _control(env: Any, agent: RslRlBaseRunnerCfg) -> Json:
+  """Return the actions, their order, period and limit."""
   actions = getattr(env, "actions", None) or {}
   control = {
     "order of actions": [name for name, action in actions.items() if action is not None],
     "actions": actions,
     "decimation": getattr(env, "decimation", None),
     "sim.timestep": getattr(getattr(env, "sim", None), "timestep", None),
+    "agent.clip_actions": agent.clip_actions,
   }
   return _encoded(control)
 
