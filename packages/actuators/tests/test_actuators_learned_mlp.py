@@ -57,7 +57,7 @@ def step(actuators: ActuatorSet, sample: torch.Tensor) -> torch.Tensor:
   # Velocity and effort targets are not the network's business, whatever they are.
   other = torch.full_like(target, float("nan"))
   ctrl = actuators.compute(target, other, other, position, velocity)
-  place = {column.target.name: column.ctrl for actuator in actuators.groups for column in actuator.group.columns}
+  place = {column.target.name: column.ctrl for actuator in actuators.groups for column in actuator.columns}
   return ctrl[:, [actuators.ctrl_ids.index(place[joint]) for joint in "abc"]]
 
 

@@ -185,8 +185,7 @@ class StifferServoCfg(NativePositionActuatorCfg):
 
   def _numbers(self, target_names, *names):
     rows = super()._numbers(target_names, *names)
-    factors = [2.0 if name == "stiffness" else 1.0 for name in names]
-    return [tuple(factor * value for factor, value in zip(factors, row, strict=True)) for row in rows]
+    return [{name: (2.0 if name == "stiffness" else 1.0) * value for name, value in row.items()} for row in rows]
 
 
 def test_a_subclass_of_a_native_config_is_one_too() -> None:

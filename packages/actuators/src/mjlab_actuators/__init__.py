@@ -1,6 +1,6 @@
 """Actuator models for batched MuJoCo: native servos, PD, motors, networks, wrapped MJCF, delay."""
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column, CommandField, fuse
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column, CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName
 from mjlab_actuators.actuator_set import ActuatorSet
@@ -70,7 +70,6 @@ __all__ = [
   "XmlActuatorCfg",
   "clip_to_dc_motor",
   "command_fields_of",
-  "fuse",
   "gains_from_frequency",
   "radians_per_second",
   "reflected_inertia",

@@ -1,8 +1,8 @@
-"""Base of all actuator models, and the fusion of groups of one model into one computation."""
+"""Base of all actuator models, and the columns that a model computes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, get_args
 
 import torch
@@ -36,59 +36,29 @@ class ActuatorCmd:
 
 
 class Column(NamedTuple):
-  """Target that an actuator model drives, before any tensor exists."""
+  """Target and ctrl that an actuator model connects, before any tensor exists."""
 
   target: Target
-  """Joint, tendon or site; it has two columns if two elements of a wrapped MJCF act on it."""
+  """Joint, tendon or site; it has a column for each input of each of its actuators."""
+  element: int
+  """Id of the actuator in the compiled model."""
+  ctrl: int
+  """Index into the model's ctrl."""
   parameters: Mapping[str, float]
   """Constants of the actuator model."""
-  ctrl: int = -1
-  """Index into the model's ctrl; -1 without a MuJoCo model."""
-  gear: float = 1.0
-  """Gear between target and ctrl, for targets that pass unchanged."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class ActuatorGroup:
-  """Columns that one actuator model computes; `fuse` joins groups with equal `key`."""
+class ActuatorGroup(NamedTuple):
+  """Key of the columns that one actuator model computes together, whatever configs they come from."""
 
   actuator_model: type["Actuator"]
   """The runtime class."""
   command_fields: tuple[CommandField, ...]
   """Targets that the actuator model reads; these, and never the measurements, are delayed."""
-  settings: Mapping[str, Hashable]
-  """Options of the actuator model that are the same for all columns."""
-  columns: tuple[Column, ...]
-  """Targets in their order."""
-
-  @property
-  def key(self) -> tuple[object, ...]:
-    """Key of fusion: groups of one key are one computation."""
-    return (self.actuator_model, self.command_fields, tuple(self.settings.items()), self.parameter_names)
-
-  @property
-  def parameter_names(self) -> tuple[str, ...]:
-    """Names of the constants."""
-    return tuple(self.columns[0].parameters) if self.columns else ()
-
-  @property
-  def target_names(self) -> tuple[str, ...]:
-    """Names of the targets."""
-    return tuple(column.target.name for column in self.columns)
-
-
-def fuse(groups: Sequence[ActuatorGroup]) -> list[ActuatorGroup]:
-  """Return one group per actuator model and settings; columns keep the order in which they are given.
-
-  This happens before tensors and delay buffers are made, so nothing is allocated twice and models with memory fuse too.
-  """
-  by_key: dict[tuple[object, ...], list[ActuatorGroup]] = {}
-  for group in groups:
-    by_key.setdefault(group.key, []).append(group)
-  return [
-    replace(members[0], columns=tuple(column for group in members for column in group.columns))
-    for members in by_key.values()
-  ]
+  settings: tuple[tuple[str, Hashable], ...]
+  """Options of the actuator model by name, the same for all columns."""
+  parameter_names: tuple[str, ...]
+  """Names of the constants."""
 
 
 class Actuator(Stateful, ABC):
@@ -118,6 +88,7 @@ class Actuator(Stateful, ABC):
   def __init__(
     self,
     group: ActuatorGroup,
+    columns: Sequence[Column],
     *,
     num_envs: int,
     device: torch.device | str,
@@ -125,16 +96,16 @@ class Actuator(Stateful, ABC):
     generator: torch.Generator | None = None,
   ) -> None:
     self.num_envs, self.device, self.dtype = num_envs, torch.device(device), dtype
-    self.group = group
-    self.target_names = group.target_names
+    self.group, self.columns = group, tuple(columns)
+    self.target_names = tuple(column.target.name for column in columns)
     self._expanded: set[str] = set()
-    for name, setting in group.settings.items():
+    for name, setting in group.settings:
       setattr(self, name, setting)
     for name in group.parameter_names:
       setattr(self, name, self.nominal(name))
     self.delay = None
     if self.delay_max_lag > 0:
-      fields, width = len(group.command_fields), len(group.columns)
+      fields, width = len(group.command_fields), len(columns)
       self.delay = DelayBuffer(
         self.delay_min_lag,
         self.delay_max_lag,
@@ -169,25 +140,16 @@ class Actuator(Stateful, ABC):
     Raises:
       MjlabError: This actuator model has no such parameter.
     """
-    self._check(name)
+    check_name("parameter", name, self.group.parameter_names, type(self).__name__)
     if name not in self._expanded:
       self._expanded.add(name)
-      values: torch.Tensor = getattr(self, name)
-      setattr(self, name, self.state_of(values.repeat(self.num_envs // values.shape[0], 1)))
+      setattr(self, name, self.state_of(getattr(self, name).repeat(self.num_envs, 1)))
     return getattr(self, name)
 
   def nominal(self, name: str) -> torch.Tensor:
-    """Return the configured value of the parameter `name`, (1, n), which writes do not change.
-
-    Raises:
-      MjlabError: This actuator model has no such parameter.
-    """
-    self._check(name)
-    numbers = [column.parameters[name] for column in self.group.columns]
+    """Return the configured value of the parameter `name`, (1, n), which writes do not change."""
+    numbers = [column.parameters[name] for column in self.columns]
     return torch.tensor([numbers], device=self.device, dtype=self.dtype)
-
-  def _check(self, name: str) -> None:
-    check_name("parameter", name, self.group.parameter_names, type(self).__name__)
 
   def _stacked(self, cmd: ActuatorCmd) -> torch.Tensor:
     fields = [getattr(cmd, field) for field in self.group.command_fields]

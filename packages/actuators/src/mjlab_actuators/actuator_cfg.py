@@ -33,6 +33,8 @@ EffortLimit = Annotated[PerTarget | None, Limits(gt=0, finite=False)]
 """Positive numbers; None or infinity for no limit."""
 Gear = Annotated[float, Limits(nonzero=True)]
 """Finite number other than 0."""
+CtrlInput = tuple[tuple[CommandField, ...], float]
+"""Targets that a ctrl takes, and its gear: transmission length per position."""
 
 
 @dataclass(kw_only=True)
@@ -150,46 +152,39 @@ class ActuatorCfg(Config):
 
   def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
     """Return the constants of the actuator model for each target."""
-    rows = self._numbers(target_names, *self.number_fields)
-    return [dict(zip(self.number_fields, row, strict=True)) for row in rows]
+    return self._numbers(target_names, *self.number_fields)
 
-  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
-    """Return the targets that each ctrl of an actuator of a compiled model takes."""
-    return (self.command_fields,)
+  def ctrl_inputs(self, model: mujoco.MjModel, element: int) -> list[CtrlInput]:
+    """Return the targets that each ctrl of an actuator of a compiled model takes, and the gear between them."""
+    return [(self.command_fields, 1.0)]
 
-  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
-    """Return the gear between the targets and ctrl of an actuator, for targets that pass unchanged."""
-    return 1.0
-
-  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
-    """Return the groups of this config in a compiled model, one for each set of targets that a ctrl takes.
+  def groups(
+    self, model: mujoco.MjModel, elements: Mapping[Target, Sequence[int]]
+  ) -> dict[ActuatorGroup, list[Column]]:
+    """Return the columns of this config in a compiled model, by what is computed together.
 
     Args:
       model: The compiled model.
-      elements: Ids of the actuators of each target by name.
+      elements: Ids of the actuators of each target.
 
     Raises:
       MjlabError: Two actuators on one site would get the same target for different wrenches.
     """
-    found: dict[tuple[CommandField, ...], list[Column]] = defaultdict(list)
-    for (name, ids), numbers in zip(elements.items(), self.parameters(list(elements)), strict=True):
-      target = Target(self.transmission_type, name)
+    settings = tuple((name, getattr(self, name)) for name in (*_DELAY_FIELDS, *self.setting_fields))
+    found: dict[ActuatorGroup, list[Column]] = defaultdict(list)
+    numbers = self.parameters([target.name for target in elements])
+    for (target, ids), parameters in zip(elements.items(), numbers, strict=True):
       for element in ids:
-        first, gear = int(model.actuator_ctrladr[element]), self.ctrl_gear(model, element)
-        for ctrl, fields in enumerate(self.ctrl_fields(model, element), first):
-          if target.transmission == "site" and any(column.target == target for column in found[fields]):
+        for ctrl, (fields, gear) in enumerate(self.ctrl_inputs(model, element), model.actuator_ctrladr[element]):
+          constants = {**parameters, "gear": gear}
+          columns = found[ActuatorGroup(self.actuator_model, fields, settings, tuple(constants))]
+          if target.transmission == "site" and any(column.target == target for column in columns):
             raise MjlabError(
-              f"{type(self).__name__}: site {name!r} has one {fields[0]}, but several actuators that take one; give "
-              "each a separate site, or leave the site out and write its ctrl"
+              f"{type(self).__name__}: site {target.name!r} has one {fields[0]}, but several actuators that take one; "
+              "give each a separate site, or leave the site out and write its ctrl"
             )
-          found[fields].append(Column(target, numbers, ctrl, gear))
-    settings = {name: getattr(self, name) for name in (*_DELAY_FIELDS, *self.setting_fields)}
-    return [
-      ActuatorGroup(
-        actuator_model=self.actuator_model, command_fields=fields, settings=settings, columns=tuple(columns)
-      )
-      for fields, columns in found.items()
-    ]
+          columns.append(Column(target, element, int(ctrl), constants))
+    return found
 
   def velocity_limits(self, target_names: Sequence[str]) -> dict[Target, float]:
     """Return the top speeds of the targets that have one [m/s or rad/s]."""
@@ -208,17 +203,20 @@ class ActuatorCfg(Config):
     directions = self._by_target("site_gear", target_names) if self.transmission_type == "site" else scalar
     out = []
     for name, direction, numbers in zip(target_names, directions, self._numbers(target_names, *fields), strict=True):
-      target = Target(self.transmission_type, name)
+      gears = [gear * part for part in direction]
       element = add_element(
-        spec, type(self).__name__, target, gear=[gear * part for part in direction], refsite=self.refsite
+        spec, type(self).__name__, Target(self.transmission_type, name), gear=gears, refsite=self.refsite
       )
-      out.append((element, *numbers))
+      out.append((element, *numbers.values()))
     return out
 
-  def _numbers(self, target_names: Sequence[str], *names: str) -> list[tuple[float, ...]]:
+  def _numbers(self, target_names: Sequence[str], *names: str) -> list[dict[str, float]]:
     """Return the numbers of the fields `names` for each target; infinity where a limit is None."""
-    rows = zip(target_names, *(self._by_target(name, target_names) for name in names), strict=True)
-    return [tuple(math.inf if value is None else float(value) for value in values) for _, *values in rows]
+    values = [self._by_target(name, target_names) for name in names]
+    return [
+      {name: math.inf if of[index] is None else float(of[index]) for name, of in zip(names, values, strict=True)}
+      for index in range(len(target_names))
+    ]
 
   def _by_target(self, name: str, target_names: Sequence[str], **options: None) -> list:
     """Return the values of the field `name`, one per target."""

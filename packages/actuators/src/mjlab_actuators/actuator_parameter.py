@@ -8,18 +8,26 @@ import mujoco
 import torch
 from mjlab_core import MjlabError, ModelFields, check_name, match_names, where_
 
-from mjlab_actuators.actuator import Actuator
+from mjlab_actuators.actuator import Actuator, CommandField
 from mjlab_actuators.actuator_set import ActuatorSet
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission
+from mjlab_actuators.xml import servo_target
 
 ParameterName = Literal["stiffness", "damping", "effort_limit"]
 """Parameter of an actuator model."""
 
-# Where MuJoCo keeps the gains of controllers.
-_DC_MOTOR = {"stiffness": ("actuator_gainprm", 4), "damping": ("actuator_gainprm", 6)}
-_PID = {"stiffness": ("actuator_biasprm", 1), "damping": ("actuator_biasprm", 2)}
-
+# Columns of model fields with the gains of servos and controllers; the first has the number itself.
+_GAINS: dict[tuple[CommandField | mujoco.mjtGain, ParameterName], tuple[tuple[str, int], ...]] = {
+  ("position_target", "stiffness"): (("actuator_gainprm", 0), ("actuator_biasprm", 1)),
+  ("position_target", "damping"): (("actuator_biasprm", 2),),
+  ("velocity_target", "damping"): (("actuator_gainprm", 0), ("actuator_biasprm", 2)),
+  (mujoco.mjtGain.mjGAIN_DCMOTOR, "stiffness"): (("actuator_gainprm", 4),),
+  (mujoco.mjtGain.mjGAIN_DCMOTOR, "damping"): (("actuator_gainprm", 6),),
+  (mujoco.mjtGain.mjGAIN_PID, "stiffness"): (("actuator_biasprm", 1),),
+  (mujoco.mjtGain.mjGAIN_PID, "damping"): (("actuator_biasprm", 2),),
+}
+_FORCE_LIMITS = (("actuator_forcerange", 1), ("actuator_forcerange", 0))
 
 _Field = tuple[Actuator | None, str]
 """Parameter of an actuator model, or field of the MuJoCo model."""
@@ -69,8 +77,8 @@ class ActuatorParameter:
     found: dict[_Field, list[tuple[int, int]]] = defaultdict(list)
     nominal: list[float] = []
     for index, target in enumerate(self.targets):
-      value, places = _find(actuators, sim.mj_model, name, target)
-      nominal.append(value)
+      places = _find(actuators, sim.mj_model, name, target)
+      nominal.append(next(value for value in places.values() if value))
       for owner, field, column in places:
         found[owner, field].append((column, index))
         if owner is None:
@@ -139,7 +147,7 @@ class ActuatorDelay:
       MjlabError: A target shares its delay with one that is not matched, or cannot have these lags [physics steps].
     """
     targets, (lo, hi), owner = _matched(actuators, patterns, transmission), lag_range, actuators.owner
-    driven = [(model, [column.target for column in model.group.columns]) for model in actuators.groups]
+    driven = [(model, [column.target for column in model.columns]) for model in actuators.groups]
     models = [(model, members) for model, members in driven if not set(targets).isdisjoint(members)]
     for model, members in models:
       least, most = model.delay_min_lag, model.delay_max_lag
@@ -184,69 +192,51 @@ def _claims(name: str, targets: Iterable[Target]) -> dict[tuple[str, Hashable], 
   return {(name, target): f"{name} of {_described(target)}" for target in targets}
 
 
-def _find(actuators: ActuatorSet, model: mujoco.MjModel, name: str, target: Target) -> tuple[float, list[_Place]]:
-  """Return the configured value of a parameter of one target, and all places that hold it."""
+def _find(actuators: ActuatorSet, model: mujoco.MjModel, name: ParameterName, target: Target) -> dict[_Place, float]:
+  """Return all places that hold a parameter of one target, with the configured values."""
   owner = f"{actuators.owner}: {name} of {target.transmission} {target.name!r}".removeprefix(": ")
-  found: list[tuple[float, _Place]] = []
-  elements: set[int] = set()
+  found: dict[_Place, float] = {}
+  element = -1
   for actuator in actuators.groups:
     fields = actuator.effort_limits if name == "effort_limit" else (name,)
-    for index, column in enumerate(actuator.group.columns):
-      if column.target != target:
-        continue
-      numbers = column.parameters
-      found += [(numbers[field], (actuator, field, index)) for field in fields if field in numbers]
-      element = _element_of(model, column.ctrl)
-      if isinstance(actuator, PassThrough) and element not in elements:
-        found += _in_model(model, name, element)
-      elements.add(element)
-  value = next((number for number, _ in found if number != 0.0), 0.0)
+    for index, column in enumerate(actuator.columns):
+      if column.target == target:
+        element, numbers = column.element, column.parameters
+        found |= {(actuator, field, index): numbers[field] for field in fields if field in numbers}
+        if isinstance(actuator, PassThrough):
+          found |= _in_model(model, name, element)
+  value = next((number for number in found.values() if number), 0.0)
   if value in (0.0, float("inf")):
     why = "its actuator has none" if not found else "it is zero" if value == 0.0 else "it was not given"
     raise MjlabError(f"{owner}: {why}, so that scaling it changes nothing")
-  places = [place for _, place in found]
+  return found | (_shared_limits(model, target, element, owner) if name == "effort_limit" else {})
+
+
+def _in_model(model: mujoco.MjModel, name: ParameterName, element: int) -> dict[_Place, float]:
+  """Return the places of a parameter of an actuator that MuJoCo computes; none if it has no such parameter."""
   if name == "effort_limit":
-    places += _shared_limits(model, target, next(iter(elements)), owner)
-  return value, places
+    places = _FORCE_LIMITS if model.actuator_forcelimited[element] else ()
+  else:
+    kind = servo_target(model, element) or mujoco.mjtGain(model.actuator_gaintype[element])
+    places = _GAINS.get((kind, name), ())
+  tables = [(field, column, getattr(model, field)) for field, column in places]
+  return {
+    (None, field, element * table.shape[1] + column): abs(float(table[element, column]))
+    for field, column, table in tables
+  }
 
 
-def _element_of(model: mujoco.MjModel, ctrl: int) -> int:
-  """Return the actuator that an index into ctrl belongs to."""
-  return int((model.actuator_ctrladr <= ctrl).nonzero()[0][-1])
-
-
-def _in_model(model: mujoco.MjModel, name: str, element: int) -> list[tuple[float, _Place]]:
-  """Return values and places of a parameter of an actuator that MuJoCo computes; none if it has no such parameter."""
-  fields: list[tuple[str, int]] = []
-  kind, bias = mujoco.mjtGain(model.actuator_gaintype[element]), mujoco.mjtBias(model.actuator_biastype[element])
-  gain, on_length, on_velocity = model.actuator_gainprm[element, 0], *model.actuator_biasprm[element, 1:3]
-  if name == "effort_limit":
-    fields = [("actuator_forcerange", 1), ("actuator_forcerange", 0)] if model.actuator_forcelimited[element] else []
-  elif kind in (mujoco.mjtGain.mjGAIN_DCMOTOR, mujoco.mjtGain.mjGAIN_PID):
-    fields = [(_DC_MOTOR if kind == mujoco.mjtGain.mjGAIN_DCMOTOR else _PID)[name]]
-  elif kind == mujoco.mjtGain.mjGAIN_FIXED and bias == mujoco.mjtBias.mjBIAS_AFFINE and gain != 0.0:
-    if on_length == -gain:
-      position = [("actuator_gainprm", 0), ("actuator_biasprm", 1)]
-      fields = position if name == "stiffness" else [("actuator_biasprm", 2)]
-    elif on_length == 0.0 and on_velocity == -gain and name == "damping":
-      fields = [("actuator_gainprm", 0), ("actuator_biasprm", 2)]
-  found = []
-  for field, column in fields:
-    table = getattr(model, field)
-    found.append((abs(float(table[element, column])), (None, field, element * table.shape[1] + column)))
-  return found
-
-
-def _shared_limits(model: mujoco.MjModel, target: Target, element: int, owner: str) -> list[_Place]:
+def _shared_limits(model: mujoco.MjModel, target: Target, element: int, owner: str) -> dict[_Place, float]:
   """Return the places of the limit on all actuators of a joint or tendon together, if it has one."""
   if target.transmission == "site":
-    return []
+    return {}
   row, prefix = int(model.actuator_trnid[element, 0]), "jnt" if target.transmission == "joint" else "tendon"
   if not getattr(model, f"{prefix}_actfrclimited")[row]:
-    return []
+    return {}
   same = (model.actuator_trntype == model.actuator_trntype[element]) & (model.actuator_trnid[:, 0] == row)
   if same.sum() > 1:
     raise MjlabError(
       f"{owner}: {same.sum()} actuators share its actuatorfrcrange, so that one of them cannot be scaled alone"
     )
-  return [(None, f"{prefix}_actfrcrange", 2 * row + side) for side in range(2)]
+  limits = getattr(model, f"{prefix}_actfrcrange")[row].tolist()
+  return {(None, f"{prefix}_actfrcrange", 2 * row + side): limit for side, limit in enumerate(limits)}

@@ -1,5 +1,6 @@
 """All actuators of one entity: from targets to the entity's part of ctrl, once a substep."""
 
+import itertools
 import re
 from collections import defaultdict
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ import mujoco
 import torch
 from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_index, as_slice, select
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, fuse
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission, targets_of, targets_of_actuators
@@ -91,20 +92,22 @@ class ActuatorSet(Stateful):
       MjlabError: An actuator is missing in the model, or is driven by two configs.
     """
     self.num_envs = num_envs
-    targets, of_actuator = targets_of(model, prefix), targets_of_actuators(model, prefix)
-    groups = self._groups(model, targets, of_actuator, prefix)
-    target_of: dict[int, Target] = {}
-    for column in (column for group in groups for column in group.columns):
-      if column.ctrl in target_of:
+    targets = targets_of(model, prefix)
+    groups = self._groups(model, targets, prefix)
+    column_of: dict[int, Column] = {}
+    for column in itertools.chain.from_iterable(groups.values()):
+      if column.ctrl in column_of:
         kind, name = column.target
         raise MjlabError(f"{self.owner}: {kind} {name!r} is driven by two actuator configs".removeprefix(": "))
-      target_of[column.ctrl] = column.target
-    self._driven = set(target_of.values())
-    self.targets = tuple(target for target in targets if target.transmission == "joint" or target in self._driven)
-    self.ctrl_ids = tuple(sorted(target_of))
-    # The MJCF's own elements come first, and none of them needs a measurement.
-    last = {target: index for index, target in enumerate(of_actuator)}
-    self.site_outputs = tuple(int(model.actuator_outadr[last[Target("site", name)]]) for name in self.driven("site"))
+      column_of[column.ctrl] = column
+    # A site that the MJCF drives too has the element of its config last, which is the one that needs a measurement.
+    elements = {column.target: column.element for _, column in sorted(column_of.items())}
+    self._driven = set(elements)
+    self.targets = tuple(target for target in targets if target.transmission == "joint" or target in elements)
+    self.ctrl_ids = tuple(sorted(column_of))
+    self.site_outputs = tuple(
+      int(model.actuator_outadr[elements[Target("site", name)]]) for name in self.driven("site")
+    )
     place = as_slice(self.ctrl_ids)
     self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
     if ctrl is not None and place is not None:
@@ -113,7 +116,9 @@ class ActuatorSet(Stateful):
       self.ctrl = torch.zeros(num_envs, len(self.ctrl_ids), device=device, dtype=dtype)
       if ctrl is not None:
         self._scatter = (ctrl, torch.tensor(self.ctrl_ids, device=device))
-    self._routes = [_Route(group, self.targets, self.ctrl_ids, self.ctrl, generator) for group in fuse(groups)]
+    self._routes = [
+      _Route(group, columns, self.targets, self.ctrl_ids, self.ctrl, generator) for group, columns in groups.items()
+    ]
     self.groups = tuple(route.actuator for route in self._routes)
     self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(self.groups)})
     self.needs_feedback = any(actuator.needs_feedback for actuator in self.groups)
@@ -188,42 +193,39 @@ class ActuatorSet(Stateful):
           raise UnknownNameError(f"{error} There is a {other} {name!r}: transmission_type={other!r}?") from error
       raise
 
-  def _groups(
-    self, model: mujoco.MjModel, targets: Sequence[Target], of_actuator: Sequence[Target | None], prefix: str
-  ) -> list[ActuatorGroup]:
-    """Return the groups of all configs; `of_actuator` has the target of each actuator of the model."""
-    own: dict[Target, int] = {}
-    for cfg in [cfg for cfg in self.cfgs if not cfg.of_mjcf]:
-      for name in self._match(cfg, targets, set()):
-        target, wanted = Target(cfg.transmission_type, name), prefix + name
-        names = (wanted, f"{wanted}_{target.transmission}")
-        found = [i for i, of in enumerate(of_actuator) if of == target and model.actuator(i).name in names]
-        if not found:
-          raise MjlabError(
-            f"{type(cfg).__name__}: the model has no actuator {wanted!r}; call edit_spec before it is compiled"
-          )
-        own[target] = found[0]
-    # Wrapping everything must leave the added elements alone.
-    of_mjcf: dict[Target | None, list[int]] = defaultdict(list)
-    for index, target in enumerate(of_actuator):
-      if index not in own.values():
-        of_mjcf[target].append(index)
-    groups: list[ActuatorGroup] = []
+  def _groups(self, model: mujoco.MjModel, targets: Sequence[Target], prefix: str) -> dict[ActuatorGroup, list[Column]]:
+    """Return the columns of all configs by what is computed together, and keep the top speeds."""
+    left: dict[Target | None, list[int]] = defaultdict(list)
+    for index, target in enumerate(targets_of_actuators(model, prefix)):
+      left[target].append(index)
+    groups: dict[ActuatorGroup, list[Column]] = defaultdict(list)
     self.velocity_limits = {}
-    for cfg in self.cfgs:
-      matched = self._match(cfg, targets, set(of_mjcf))
-      driven = [Target(cfg.transmission_type, name) for name in matched]
-      groups += cfg.groups(model, {of.name: of_mjcf[of] if cfg.of_mjcf else [own[of]] for of in driven})
-      self.velocity_limits |= cfg.velocity_limits(matched)
+    # Configs that wrap the MJCF come last: they leave the actuators of other configs alone.
+    for cfg in sorted(self.cfgs, key=lambda cfg: cfg.of_mjcf):
+      names = self._match(cfg, targets, {target for target, ids in left.items() if ids})
+      driven = [Target(cfg.transmission_type, name) for name in names]
+      elements = {of: left[of] if cfg.of_mjcf else [_own(cfg, model, of, left[of], prefix)] for of in driven}
+      for group, columns in cfg.groups(model, elements).items():
+        groups[group] += columns
+      self.velocity_limits |= cfg.velocity_limits(names)
     return groups
 
 
+def _own(cfg: ActuatorCfg, model: mujoco.MjModel, target: Target, left: list[int], prefix: str) -> int:
+  """Take the actuator that `cfg` added to a target, the last one, from the target's actuators."""
+  name = prefix + target.name
+  if not left or model.actuator(left[-1]).name not in (name, f"{name}_{target.transmission}"):
+    raise MjlabError(f"{type(cfg).__name__}: the model has no actuator {name!r}; call edit_spec before it is compiled")
+  return left.pop()
+
+
 class _Route:
-  """Path of one fused actuator model from the columns of targets into ctrl."""
+  """Path of one actuator model from the columns of targets into ctrl."""
 
   def __init__(
     self,
     group: ActuatorGroup,
+    columns: Sequence[Column],
     targets: Sequence[Target],
     ctrl_ids: Sequence[int],
     ctrl: torch.Tensor,
@@ -233,13 +235,9 @@ class _Route:
     passes = issubclass(group.actuator_model, PassThrough)
     # A pass-through is cheapest in ctrl order: one gather straight into ctrl. Others read several tensors, whose
     # columns are plain slices when they keep the order of the targets.
-    columns = tuple(sorted(group.columns, key=lambda column: column.ctrl if passes else source[column.target]))
+    columns = sorted(columns, key=lambda column: column.ctrl if passes else source[column.target])
     self.actuator = group.actuator_model(
-      replace(group, columns=columns),
-      num_envs=len(ctrl),
-      device=ctrl.device,
-      dtype=ctrl.dtype,
-      generator=generator,
+      group, columns, num_envs=len(ctrl), device=ctrl.device, dtype=ctrl.dtype, generator=generator
     )
     sources = [source[column.target] for column in columns]
     places = [ctrl_ids.index(column.ctrl) for column in columns]

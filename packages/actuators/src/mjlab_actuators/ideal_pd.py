@@ -1,13 +1,12 @@
 """PD control in torch, with feed-forward; gains and limits may differ per world and change at run time."""
 
-import math
 from abc import ABC
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import torch
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup
+from mjlab_actuators.actuator import Actuator, ActuatorCmd
 from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, NonNegativePerTarget
 
 
@@ -36,21 +35,10 @@ class IdealPd(Pd):
   effort_limit: torch.Tensor
   """Largest effort, (1, n) or (num_envs, n) [N or N m]; infinite without a limit."""
 
-  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
-    super().__init__(group, **memory)
-    self._clamps = not all(math.isinf(column.parameters["effort_limit"]) for column in group.columns)
-
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the clamped effort."""
     effort = self._wanted(cmd)
-    if self._clamps:
-      torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
-    return effort
-
-  def expand(self, name: str) -> torch.Tensor:
-    """Return the parameter `name` with one row per world; limits are clamped to from then on."""
-    self._clamps = self._clamps or name == "effort_limit"
-    return super().expand(name)
+    return torch.clamp(effort, -self.effort_limit, self.effort_limit, out=effort)
 
 
 @dataclass(kw_only=True)

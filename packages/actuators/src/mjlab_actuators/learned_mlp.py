@@ -13,10 +13,11 @@ import mujoco
 import torch
 from mjlab_core import HistoryBuffer, Limits, MjlabError, PositiveCount
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, CommandField
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column, CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg, EffortLimit, PerTarget
 from mjlab_actuators.dc_motor import clip_to_dc_motor
 from mjlab_actuators.network_file import Activation, load_network
+from mjlab_actuators.transmission import Target
 
 InputOrder = Literal["pos_vel", "vel_pos"]
 """Order of the columns: position errors before velocities, or after."""
@@ -50,10 +51,10 @@ class LearnedMlp(Actuator):
   input_order: InputOrder
   braking: bool
 
-  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
-    super().__init__(group, **memory)
+  def __init__(self, group: ActuatorGroup, columns: Sequence[Column], **memory: Any) -> None:
+    super().__init__(group, columns, **memory)
     num_envs, device, num_inputs = self.num_envs, self.device, 2 * self.history_length
-    self._shape = (num_envs, len(group.columns))
+    self._shape = (num_envs, len(columns))
     self._clips = "saturation_effort" in group.parameter_names
     # Networks are stored in single precision, and so are their inputs.
     self.history = HistoryBuffer(self.history_length, num_envs, (2, self._shape[1]), device, torch.float32)
@@ -151,8 +152,10 @@ class LearnedMlpActuatorCfg(ActuatorCfg):
     except ValueError as error:
       yield str(error)
 
-  def groups(self, model: mujoco.MjModel, elements: Mapping[str, Sequence[int]]) -> list[ActuatorGroup]:
-    """Return the groups of this config, if the network was trained at the timestep of the model."""
+  def groups(
+    self, model: mujoco.MjModel, elements: Mapping[Target, Sequence[int]]
+  ) -> dict[ActuatorGroup, list[Column]]:
+    """Return the columns of this config, if the network was trained at the timestep of the model."""
     timestep = model.opt.timestep
     if self.sample_period is not None and not math.isclose(self.sample_period, timestep, rel_tol=1e-6):
       raise MjlabError(
@@ -163,7 +166,5 @@ class LearnedMlpActuatorCfg(ActuatorCfg):
 
   def parameters(self, target_names: Sequence[str]) -> list[dict[str, float]]:
     """Return the limit, and the torque-speed line if one is configured, for each target."""
-    names = (
-      ("effort_limit",) if self.saturation_effort is None else ("effort_limit", "saturation_effort", "velocity_limit")
-    )
-    return [dict(zip(names, row, strict=True)) for row in self._numbers(target_names, *names)]
+    line = () if self.saturation_effort is None else ("saturation_effort", "velocity_limit")
+    return self._numbers(target_names, "effort_limit", *line)

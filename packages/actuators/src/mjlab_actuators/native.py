@@ -2,14 +2,16 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import cached_property
+from typing import ClassVar
 
 import mujoco
 import torch
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, CommandField
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, CommandField
 from mjlab_actuators.actuator_cfg import (
   ActuatorCfg,
+  CtrlInput,
   EffortLimit,
   Gear,
   NonNegativePerTarget,
@@ -26,12 +28,10 @@ class PassThrough(Actuator):
   gear: torch.Tensor
   """Transmission length per position of the joint, (1, n)."""
 
-  def __init__(self, group: ActuatorGroup, **memory: Any) -> None:
-    super().__init__(group, **memory)
-    gears = [column.gear for column in group.columns]
-    self.gear = torch.tensor([gears], device=self.device, dtype=self.dtype)
-    self.is_geared = any(gear != 1.0 for gear in gears)
+  @cached_property
+  def is_geared(self) -> bool:
     """True if ctrl is another number than the target."""
+    return any(column.parameters["gear"] != 1.0 for column in self.columns)
 
   def compute(self, cmd: ActuatorCmd) -> torch.Tensor:
     """Return the target, as the actuator of MuJoCo takes it."""
@@ -47,18 +47,6 @@ class NativeActuatorCfg(ActuatorCfg):
   """Base of all actuator models that MuJoCo computes."""
 
   actuator_model = PassThrough
-
-
-@dataclass(kw_only=True)
-class GearedActuatorCfg(NativeActuatorCfg):
-  """Base of actuators with a gear, which targets do not see."""
-
-  gear: Gear = 1.0
-  """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
-
-  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
-    """Return the gear."""
-    return self.gear
 
 
 @dataclass(kw_only=True)
@@ -106,9 +94,11 @@ class NativeVelocityActuatorCfg(NativeActuatorCfg):
 
 
 @dataclass(kw_only=True)
-class NativeMotorActuatorCfg(GearedActuatorCfg):
+class NativeMotorActuatorCfg(NativeActuatorCfg):
   """A torque source: effort = clamp(effort target, +-gear effort_limit), at the joint."""
 
+  gear: Gear = 1.0
+  """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
   effort_limit: EffortLimit = None
   """Largest effort of the motor, before the gear [N or N m]; None for no limit."""
 
@@ -118,6 +108,10 @@ class NativeMotorActuatorCfg(GearedActuatorCfg):
     for element, limit in self._bare_elements(spec, target_names, "effort_limit", gear=self.gear):
       limit_force(element, limit)
       element.ctrlrange = element.forcerange
+
+  def ctrl_inputs(self, model: mujoco.MjModel, element: int) -> list[CtrlInput]:
+    """Return the one input."""
+    return [(self.command_fields, self.gear)]
 
 
 class NativePd(PassThrough):

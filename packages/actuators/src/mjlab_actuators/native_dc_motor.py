@@ -9,7 +9,7 @@ import mujoco
 from mjlab_core import Limits, NonNegative, Positive
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, CommandField
-from mjlab_actuators.actuator_cfg import EffortLimit, Gear
+from mjlab_actuators.actuator_cfg import CtrlInput, EffortLimit, Gear
 from mjlab_actuators.native import NativeActuatorCfg
 from mjlab_actuators.transmission import limit_force
 
@@ -89,17 +89,16 @@ class NativeDcMotorActuatorCfg(NativeActuatorCfg):
   def _reads_position(self) -> bool:
     return self.stiffness > 0.0
 
-  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
-    """Return the targets that are handed over, in the order of MuJoCo's inputs."""
+  def ctrl_inputs(self, model: mujoco.MjModel, element: int) -> list[CtrlInput]:
+    """Return the targets in the order of MuJoCo's inputs; volts and targets of the controller have no gear."""
     fields = ("effort_target",) if self.inputs == "voltage" else self.inputs
-    return [(field,) for field in COMMAND_FIELDS if field in fields]
+    return [((field,), 1.0) for field in COMMAND_FIELDS if field in fields]
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     volts = self.voltage_limit or 0.0
     controlled = self.inputs != "voltage"
-    bits = [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
-    if self.inputs != "voltage":
-      bits = [INPUTS[field] for field in self.inputs]
+    voltage_input = [mujoco.mjtCtrlInput.mjINPUT_VOLTAGE]
+    bits = voltage_input if self.inputs == "voltage" else [INPUTS[field] for field in self.inputs]
     # The constants of a motor with a controller are those at the joint, and so its inputs are those of the joint.
     turn = math.copysign(1.0, self.gear) if controlled else 1.0
     ratio = abs(self.gear) if controlled else 1.0

@@ -5,20 +5,21 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import mujoco
-from mjlab_core import Ascending, Limits
+from mjlab_core import Ascending, Items, Limits
 
 from mjlab_actuators.actuator import CommandField
-from mjlab_actuators.native import GearedActuatorCfg
+from mjlab_actuators.actuator_cfg import CtrlInput, Gear
+from mjlab_actuators.native import NativeActuatorCfg
 
 Dynamics = Literal["none", "integrator", "filter", "filterexact"]
 Gain = Literal["fixed", "affine"]
 Bias = Literal["none", "affine"]
 Range = Annotated[tuple[float, float] | None, Limits(finite=False), Ascending(strict=True)]
-Numbers = Annotated[tuple[float, ...], Limits()]
+Numbers = Annotated[tuple[float, ...], Limits(), Items(ge=0, le=3)]
 
 
 @dataclass(kw_only=True)
-class NativeGeneralActuatorCfg(GearedActuatorCfg):
+class NativeGeneralActuatorCfg(NativeActuatorCfg):
   """MuJoCo's general actuator: force = gain(l, l') w + bias(l, l'), all clamped to `force_range`.
 
   Targets are those of the joint: u is the position or velocity target times the gear, or the effort target over it.
@@ -29,6 +30,8 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
 
   command_field: CommandField
   """The target that is handed over as u."""
+  gear: Gear = 1.0
+  """Reduction between motor and target: transmission length per position. A negative gear reverses ctrl."""
   gain_type: Gain = "fixed"
   gain_prm: Numbers = (1.0,)
   """g0, g1, g2."""
@@ -48,9 +51,6 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
   def problems(self, target_names: Sequence[str]) -> Iterator[str]:
     """Yield problems of fields that keep their own constraints."""
     yield from super().problems(target_names)
-    for name in ("gain_prm", "bias_prm", "dyn_prm"):
-      if len(getattr(self, name)) > 3:
-        yield f"{name} is {getattr(self, name)}; it has up to three numbers"
     _, on_length, on_velocity = _padded(self.bias_prm)[:3]
     if self.gain_prm[:1] == (-on_length,) and on_velocity > 0.0:
       yield (
@@ -59,19 +59,16 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
       )
     if self.dyn_type in ("filter", "filterexact") and not _padded(self.dyn_prm)[0] > 0.0:
       yield f"dyn_prm is {self.dyn_prm}; a {self.dyn_type} has a positive time constant"
-    if self.dyn_type == "none":
-      yield from self._given(("act_range",), "dyn_type 'none' has no activation")
 
   def _reads_position(self) -> bool:
     kinds = ((self.gain_type, self.gain_prm), (self.bias_type, self.bias_prm))
     return any(kind == "affine" and _padded(numbers)[1] != 0.0 for kind, numbers in kinds)
 
-  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
-    """Return the target that is handed over."""
-    return ((self.command_field,),)
+  def ctrl_inputs(self, model: mujoco.MjModel, element: int) -> list[CtrlInput]:
+    """Return the one input."""
+    return [((self.command_field,), self.gear)]
 
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
-    limited = mujoco.mjtLimited.mjLIMITED_TRUE
     for (element,) in self._bare_elements(spec, target_names, gear=self.gear):
       element.gaintype = getattr(mujoco.mjtGain, f"mjGAIN_{self.gain_type.upper()}")
       element.biastype = getattr(mujoco.mjtBias, f"mjBIAS_{self.bias_type.upper()}")
@@ -79,12 +76,10 @@ class NativeGeneralActuatorCfg(GearedActuatorCfg):
       element.gainprm = _padded(self.gain_prm)
       element.biasprm = _padded(self.bias_prm)
       element.dynprm = _padded(self.dyn_prm)
-      if self.ctrl_range is not None:
-        element.ctrllimited, element.ctrlrange = limited, list(self.ctrl_range)
-      if self.force_range is not None:
-        element.forcelimited, element.forcerange = limited, list(self.force_range)
-      if self.act_range is not None:
-        element.actlimited, element.actrange = limited, list(self.act_range)
+      for kind in ("ctrl", "force", "act"):
+        if (bounds := getattr(self, f"{kind}_range")) is not None:
+          setattr(element, f"{kind}limited", mujoco.mjtLimited.mjLIMITED_TRUE)
+          setattr(element, f"{kind}range", bounds)
 
 
 def _padded(numbers: tuple[float, ...]) -> list[float]:

@@ -7,9 +7,13 @@ import mujoco
 from mjlab_core import MjlabError
 
 from mjlab_actuators.actuator import CommandField
-from mjlab_actuators.actuator_cfg import ActuatorCfg
+from mjlab_actuators.actuator_cfg import ActuatorCfg, CtrlInput
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.native_dc_motor import INPUTS
+
+_VOLTAGE = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
+_CONTROLLER_INPUTS: tuple[tuple[CommandField, int], ...] = (*INPUTS.items(), ("effort_target", _VOLTAGE))
+_LINEAR = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
 
 
 @dataclass(kw_only=True)
@@ -34,8 +38,8 @@ class XmlActuatorCfg(ActuatorCfg):
   def _add_elements(self, spec: mujoco.MjSpec, target_names: Sequence[str]) -> None:
     pass
 
-  def ctrl_fields(self, model: mujoco.MjModel, element: int) -> Sequence[tuple[CommandField, ...]]:
-    """Return the target of each input of an actuator.
+  def ctrl_inputs(self, model: mujoco.MjModel, element: int) -> list[CtrlInput]:
+    """Return the target of each input of an actuator; volts, muscles and sites have no gear.
 
     Raises:
       MjlabError: The kind of target is unknown, and `command_field` is not given.
@@ -47,47 +51,42 @@ class XmlActuatorCfg(ActuatorCfg):
         f"XmlActuatorCfg: unknown which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
         f"recognised: {', '.join(fields) or 'none'}); set command_field, or leave the actuator out"
       )
-    return [(field,) for field in fields]
-
-  def ctrl_gear(self, model: mujoco.MjModel, element: int) -> float:
-    """Return the gear of an actuator: 1 for volts, activations of muscles, and wrenches at sites."""
-    kind = mujoco.mjtGain(model.actuator_gaintype[element])
-    volts = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
-    is_voltage = kind == mujoco.mjtGain.mjGAIN_DCMOTOR and bool(int(model.actuator_ctrlspec[element]) & volts)
+    is_voltage = bool(model.actuator_ctrlspec[element] & _VOLTAGE)
+    is_muscle = model.actuator_gaintype[element] == mujoco.mjtGain.mjGAIN_MUSCLE
+    is_plain = is_voltage or is_muscle or self.transmission_type == "site"
     gear = float(model.actuator_gear[model.actuator_outadr[element], 0])
-    is_plain = is_voltage or kind == mujoco.mjtGain.mjGAIN_MUSCLE or self.transmission_type == "site"
-    return 1.0 if is_plain or gear == 0.0 else gear
+    return [((field,), 1.0 if is_plain or gear == 0.0 else gear) for field in fields]
+
+
+def servo_target(model: mujoco.MjModel, actuator: int) -> CommandField | None:
+  """Return the target of a servo; its bias subtracts its own gain times the length, or times the velocity."""
+  is_fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+  is_affine = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_AFFINE
+  gain = model.actuator_gainprm[actuator, 0]
+  on_length, on_velocity = model.actuator_biasprm[actuator, 1:3]
+  if not (is_fixed and is_affine and gain != 0.0):
+    return None
+  if on_length == -gain:
+    return "position_target"
+  return "velocity_target" if on_length == 0.0 and on_velocity == -gain else None
 
 
 def command_fields_of(model: mujoco.MjModel, actuator: int) -> tuple[CommandField, ...]:
   """Return the targets that an actuator of a compiled model takes: one per input, empty if unknown.
 
-  The bias shows the kind of actuator: a position servo subtracts its own gain times the length, a velocity servo its
-  own gain times the velocity. The voltage of a DC motor is its effort target.
+  The voltage of a DC motor is its effort target.
   """
-  kind, bias = mujoco.mjtGain(model.actuator_gaintype[actuator]), mujoco.mjtBias(model.actuator_biastype[actuator])
-  dynamics = mujoco.mjtDyn(model.actuator_dyntype[actuator])
-  gain = model.actuator_gainprm[actuator, 0]
-  on_length, on_velocity = model.actuator_biasprm[actuator, 1:3]
+  kind, dynamics = mujoco.mjtGain(model.actuator_gaintype[actuator]), mujoco.mjtDyn(model.actuator_dyntype[actuator])
   if kind in (mujoco.mjtGain.mjGAIN_PID, mujoco.mjtGain.mjGAIN_DCMOTOR):
     bits = int(model.actuator_ctrlspec[actuator])
-    fields: list[CommandField] = [field for field, bit in INPUTS.items() if bits & int(bit)]
-    if bits & int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE):
-      fields.append("effort_target")
-    return tuple(fields)
+    return tuple(field for field, bit in _CONTROLLER_INPUTS if bits & bit)
   if kind == mujoco.mjtGain.mjGAIN_MUSCLE:
     return ("effort_target",)
-  if kind != mujoco.mjtGain.mjGAIN_FIXED:
-    return ()
+  servo = servo_target(model, actuator)
   if dynamics == mujoco.mjtDyn.mjDYN_INTEGRATOR:
-    return ("velocity_target",) if bias == mujoco.mjtBias.mjBIAS_AFFINE and on_length == -gain else ()
-  if dynamics not in (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT):
+    return ("velocity_target",) if servo == "position_target" else ()
+  if kind != mujoco.mjtGain.mjGAIN_FIXED or dynamics not in _LINEAR:
     return ()
-  if bias == mujoco.mjtBias.mjBIAS_NONE:
+  if model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE:
     return ("effort_target",)
-  if bias == mujoco.mjtBias.mjBIAS_AFFINE and gain != 0.0:
-    if on_length == -gain:
-      return ("position_target",)
-    if on_length == 0.0 and on_velocity == -gain:
-      return ("velocity_target",)
-  return ()
+  return () if servo is None else (servo,)
