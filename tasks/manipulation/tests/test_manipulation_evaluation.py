@@ -201,8 +201,3 @@ def test_what_cannot_be_evaluated_is_refused() -> None:
     LiftEvaluation(command="lift").configure(lift_cube_env())
   with pytest.raises(ConfigError, match=r"held for 1 s, but a goal lasts 0\.8 s"):
     LiftEvaluation(seconds=0.8).configure(lift_cube_env())
-  cfg = lift_cube_env()
-  timed: Any = cfg.metrics["time_to_success"]
-  timed.params["hold"] = 0.5
-  with pytest.raises(ConfigError, match=r"held and time_to_success define different successes: hold is 1\.0 and 0\.5"):
-    evaluator().configure(cfg)

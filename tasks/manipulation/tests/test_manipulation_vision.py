@@ -22,7 +22,7 @@ from mjlab_manipulation import (
   multi_cube_seg_env,
 )
 from mjlab_manipulation.lift import COMMAND
-from mjlab_manipulation.vision import CUBES
+from mjlab_manipulation.objects import CUBES
 from mjlab_rl import Console, train
 
 pytestmark = pytest.mark.warp

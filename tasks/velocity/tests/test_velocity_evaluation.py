@@ -13,7 +13,6 @@ from mjlab_envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, TerminationTermCfg
 from mjlab_velocity import VelocityEvaluation, go1_flat_env
 from mjlab_velocity.evaluation import (
-  action_change_squared,
   landings,
   mechanical_power,
   push_by_level,
@@ -75,7 +74,6 @@ def test_errors_and_power_are_their_closed_forms(env: ManagerBasedRlEnv) -> None
     assert mechanical_power(env)[world] == pytest.approx(power.item(), rel=1e-6)
     torque = force.square().mean().item()
     assert torque_squared(env)[world] == pytest.approx(torque, rel=1e-6)
-    assert action_change_squared(env)[world] == pytest.approx(1.0)
 
 
 def test_impacts_are_the_forces_of_feet_that_land_again() -> None:

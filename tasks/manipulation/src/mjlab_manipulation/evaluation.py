@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 MAX_WIDTHS = 6
 """Largest number of object widths with separate groups."""
 
-_SUCCESS = ("held", "time_to_success")
-_MEASURED = (*_SUCCESS, "lifted", "dropped", "finger_force", "position_error")
+_MEASURED = ("held", "lifted", "dropped", "finger_force", "position_error")
 
 
 @dataclass(kw_only=True)
@@ -46,24 +45,17 @@ class LiftEvaluation:
   def configure(self, cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
     wrong = f"command '{self.command}' is not a lift command; commands: {', '.join(cfg.commands)}"
     command = require(cfg.commands.get(self.command), LiftCommandCfg, wrong)
-    missing = [name for name in _MEASURED if cfg.metrics.get(name) is None]
-    if missing:
+    terms = {name: term for name in _MEASURED if (term := cfg.metrics.get(name)) is not None}
+    if missing := [name for name in _MEASURED if name not in terms]:
       raise ConfigError(f"the evaluation needs metrics {', '.join(missing)}, which the task does not have")
-    self._check_success(cfg)
+    hold = terms["held"].params.get("hold", 0.0)
+    if hold > self.seconds:
+      raise ConfigError(f"success must be held for {hold:g} s, but a goal lasts {self.seconds:g} s")
     command.goal_time_range = (self.seconds, self.seconds)
     cfg.episode_length_s = max(cfg.episode_length_s, self.seconds)
     cfg.scene.num_envs, cfg.seed = self.episodes, self.seed
     cfg.curriculum = {}
     return cfg
-
-  def _check_success(self, cfg: ManagerBasedRlEnvCfg) -> None:
-    held, timed = (term.params for name in _SUCCESS if (term := cfg.metrics[name]) is not None)
-    for name in held.keys() & timed.keys():
-      if held[name] != timed[name]:
-        what = f"{name} is {held[name]} and {timed[name]}"
-        raise ConfigError(f"metrics {' and '.join(_SUCCESS)} define different successes: {what}")
-    if held.get("hold", 0.0) > self.seconds:
-      raise ConfigError(f"success must be held for {held['hold']:g} s, but a goal lasts {self.seconds:g} s")
 
   def run(self, env: "ManagerBasedRlEnv", policy: Policy, progress: Progress | None = None) -> Evaluation:
     term = lift_command(env, self.command)
@@ -80,10 +72,11 @@ class LiftEvaluation:
     # The maximum over an episode; stages only rise, so theirs is the value at the end.
     most = {name: played.values[name].nan_to_num(nan=0.0).amax(0) for name in _MEASURED}
     held, lifted = most["held"] > 0, most["lifted"] > 0
+    steps_to_success = (played.values["held"] == 0).sum(0) + 1
     last = (played.length - 1).clamp(min=0)
     metrics = {
       "success_rate": held.double(),
-      "time_to_success": most["time_to_success"].masked_fill(~held, torch.nan),
+      "time_to_success": (steps_to_success * env.step_dt).masked_fill(~held, torch.nan),
       "lift_rate": lifted.double(),
       "drop_rate": (most["dropped"] > 0).double().masked_fill(~lifted, torch.nan),
       "failure_rate": played.has_failed.double(),

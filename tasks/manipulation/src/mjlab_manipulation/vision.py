@@ -14,7 +14,7 @@ from mjlab_terrain import PlaneCfg
 from mjlab_manipulation import mdp as lifting
 from mjlab_manipulation.image_randomization import randomize_event
 from mjlab_manipulation.lift import COMMAND, agent, hand, lift_cube_env, lift_env, lift_task, proprioception
-from mjlab_manipulation.objects import blue_cube_spec, green_cube_spec, red_cube_spec
+from mjlab_manipulation.objects import CUBES
 
 # Images
 CAMERA = "wrist_camera"
@@ -24,7 +24,6 @@ DEPTH_RANGE = (0.01, 0.5)  # m
 GEOM_GROUPS = (0, 3)
 
 # Cubes beside one another
-CUBES = {"red_cube": red_cube_spec, "green_cube": green_cube_spec, "blue_cube": blue_cube_spec}
 CUBES_START = lifting.Region(x=(0.25, 0.4), y=(-0.103, 0.103), z=(0.0, 0.03))
 
 # Learner

@@ -1,18 +1,18 @@
 """Evaluation of a velocity policy: a grid of commands, with pushes of several sizes."""
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import combinations
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import torch
-from mjlab_core import Items, PositiveCount, check_fields, fill_, require, where_
-from mjlab_envs import ManagerBasedRlEnvCfg
+from mjlab_core import Items, PositiveCount, check_fields, require
+from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import EventTermCfg, ManagerTermBase, MetricsTermCfg
 from mjlab_rl import Evaluation, Policy, Progress, play_first_episodes, summarize
 
 from mjlab_velocity.levels import in_turn, set_level
-from mjlab_velocity.mdp import UniformVelocityCommand, UniformVelocityCommandCfg
+from mjlab_velocity.mdp import UniformVelocityCommandCfg
 from mjlab_velocity.mdp.rewards import landed, landing_force, linear_error_squared, turning_error_squared
 
 if TYPE_CHECKING:
@@ -37,27 +37,11 @@ WALKING = 0.3
 """Least commanded speed at which the cost of transport is measured [m/s]."""
 
 
-@dataclass(kw_only=True)
-class CommandGridCfg(UniformVelocityCommandCfg):
-  """Velocity command that is fixed for each world, from a list in turn."""
-
-  grid: tuple[Command, ...]
-
-  def build(self, env: Any) -> "CommandGrid":
-    return CommandGrid(self, env)
-
-
-class CommandGrid(UniformVelocityCommand):
-  """Velocity command of `CommandGridCfg`."""
-
-  def __init__(self, cfg: CommandGridCfg, env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._grid = in_turn(torch.tensor(cfg.grid, device=self.device), self.num_envs)
-
-  def resample(self, mask: torch.Tensor) -> None:
-    where_(self._drawn, mask, self._grid)
-    fill_(self._stands, mask, 0.0)
-    fill_(self._holds_heading, mask, 0.0)
+def hold_commands(env: "ManagerBasedRlEnv", mask: torch.Tensor, *, command: str, grid: tuple[Command, ...]) -> None:
+  """Fix the velocity command of each world, from a list in turn."""
+  term = env.command_manager.get_term(command)
+  for world in mask.nonzero().flatten().tolist():
+    term.steer(world, grid[world % len(grid)])
 
 
 class push_by_level(ManagerTermBase):
@@ -120,11 +104,10 @@ class VelocityEvaluation:
     check_fields(self, "eval")
     wrong = f"command '{self.command}' is not a velocity command; commands: {', '.join(cfg.commands)}"
     term = require(cfg.commands.get(self.command), UniformVelocityCommandCfg, wrong)
-    kept = {field.name: getattr(term, field.name) for field in fields(UniformVelocityCommandCfg)}
-    kept["resampling_time_range"] = None
-    cfg.commands[self.command] = CommandGridCfg(grid=self.grid, **kept)
-    axes = self._axes()
-    cfg.scene.num_envs = math.prod(len(values) for _, values in axes) * self.repeats
+    term.resampling_time_range, term.initial_velocity_fraction = None, 0.0
+    held = {"command": self.command, "grid": self.grid}
+    cfg.events["hold_commands"] = EventTermCfg(hold_commands, mode="startup", params=held)
+    cfg.scene.num_envs = math.prod(map(len, self._axes())) * self.repeats
     block = len(self.grid) * len(self.pushes)
     for name, values in self.levels.items():
       set_level(cfg, name, tuple(values), block)
@@ -144,23 +127,23 @@ class VelocityEvaluation:
       "power": MetricsTermCfg(mechanical_power),
       "speed": MetricsTermCfg(horizontal_speed),
       "torque2": MetricsTermCfg(torque_squared),
-      "action_change2": MetricsTermCfg(action_change_squared),
+      "action_change2": MetricsTermCfg(mdp.action_rate_l2),
     }
     if cfg.scene.sensors.get(self.feet) is not None:
       cfg.metrics["landings"] = MetricsTermCfg(landings, params={"sensor": self.feet})
       cfg.metrics["landing_force"] = MetricsTermCfg(landing_force, params={"sensor": self.feet})
     return cfg
 
-  def _axes(self) -> list[tuple[str, list[str]]]:
-    """Return name and labels of each axis; the first changes fastest from world to world."""
+  def _axes(self) -> list[list[str]]:
+    """Return the labels of commands, pushes and levels; the first change fastest from world to world."""
     pushes = [f"push {size:g} m/s" for size in self.pushes]
-    levels = [(name, [f"{name} {value:g}" for value in values]) for name, values in self.levels.items()]
-    return [("command", [_said(value) for value in self.grid]), ("push", pushes), *levels]
+    levels = [[f"{name} {value:g}" for value in values] for name, values in self.levels.items()]
+    return [[_said(value) for value in self.grid], pushes, *levels]
 
   def _groups(self, num_envs: int) -> dict[str, torch.Tensor]:
     axes: list[dict[str, torch.Tensor]] = []
     block = 1
-    for _, labels in self._axes():
+    for labels in self._axes():
       place = in_turn(torch.arange(len(labels)), num_envs, block)
       axes.append({label: place == i for i, label in enumerate(labels)})
       block *= len(labels)
@@ -183,8 +166,7 @@ class VelocityEvaluation:
     groups = self._groups(env.num_envs)
     wanted = in_turn(torch.tensor(self.grid, dtype=torch.float64)[:, :2].norm(dim=-1), env.num_envs)
     # Masses may be randomised.
-    mass = env.sim.model.body_subtreemass[:, env.scene["robot"].indexing.root_body].double().cpu()
-    weight = mass * GRAVITY
+    weight = env.sim.model.body_subtreemass[:, env.scene["robot"].indexing.root_body].double().cpu() * GRAVITY
     cost = played.mean("power") / (weight * played.mean("speed"))
     metrics = {
       "fall_rate": played.has_failed.double(),
@@ -192,15 +174,14 @@ class VelocityEvaluation:
       "yaw_rate_rmse": played.mean("yaw_rate_error2").sqrt(),
       "cost_of_transport": torch.where(wanted >= WALKING, cost, torch.nan),
       "torque_rms": played.mean("torque2").sqrt(),
-      "action_change": played.mean("action_change2").sqrt(),
+      "action_change": (played.mean("action_change2") / env.action_manager.total_action_dim).sqrt(),
       "survived": played.length * env.step_dt,
     }
     if "landings" in names:
       # No landing: NaN, which no mean counts.
       metrics["foot_impact"] = played.mean("landing_force") / (weight * played.mean("landings"))
-    alive = (~played.values["speed"].isnan()).double()
     curves = {
-      "alive": alive,
+      "alive": (~played.values["speed"].isnan()).double(),
       "lin_vel_error": played.values["lin_vel_error2"].sqrt(),
       "yaw_rate_error": played.values["yaw_rate_error2"].sqrt(),
     }
@@ -234,12 +215,6 @@ def horizontal_speed(env: "ManagerBasedRlEnv") -> torch.Tensor:
 def torque_squared(env: "ManagerBasedRlEnv") -> torch.Tensor:
   """Return the mean over joints of the squared torque, (num_envs,) [N^2 m^2]."""
   return env.scene["robot"].data.qfrc_actuator.square().mean(-1)
-
-
-def action_change_squared(env: "ManagerBasedRlEnv") -> torch.Tensor:
-  """Return the mean over actions of their squared change in this step, (num_envs,)."""
-  actions = env.action_manager
-  return (actions.action - actions.prev_action).square().mean(-1)
 
 
 def landings(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:

@@ -1,13 +1,12 @@
 """Velocity tasks of the Unitree Go1 and Go2. Bodies and geoms of both have the same names."""
 
-from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 from mjlab_dr import geom_friction
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
 from mjlab_managers import RewardTermCfg, TerminationTermCfg
 from mjlab_robots import GO1_ACTION_SCALE, GO2_ACTION_SCALE, go1, go2
-from mjlab_scene import EntityCfg
 from mjlab_sensors import ContactMatch, RingPatternCfg
 
 from mjlab_velocity import mdp as velocity
@@ -23,37 +22,28 @@ STD_STANDING = {".*_(hip|thigh)_joint": 0.05, ".*_calf_joint": 0.1}
 STD_MOVING = {".*_(hip|thigh)_joint": 0.3, ".*_calf_joint": 0.6}
 
 
-def _quadruped(
-  entity: Callable[[], EntityCfg], action_scale: dict[str, float], torso: str, start_height: tuple[float, float]
-) -> LeggedRobot:
-  """Return the numbers of a robot.
-
-  Args:
-    entity: Function that returns the entity.
-    action_scale: Scale of the actions by joint pattern [rad].
-    torso: Body of the torso.
-    start_height: Range of the height above the default pose at which episodes begin [m].
-  """
-  return LeggedRobot(
-    entity=entity,
-    action_scale=action_scale,
-    torso=torso,
-    feet=FEET,
-    foot_contact=ContactMatch(
-      mode="geom", pattern=tuple(f"{foot}_foot_collision" for foot in FEET), entity="robot", preserve_order=True
-    ),
-    foot_rays=RingPatternCfg(radius=0.04, num_samples=4),
-    foot_friction=(
-      geom_friction(_FOOT_GEOMS, (0.3, 1.5), axes=(0,), shared=True),
-      geom_friction(_FOOT_GEOMS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
-      geom_friction(_FOOT_GEOMS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
-    ),
-    start_height=start_height,
-    std_standing=STD_STANDING,
-    std_walking=STD_MOVING,
-    std_running=STD_MOVING,
-    sim=physics(cone="elliptic", impratio=10.0, ccd_iterations=50),
-  )
+# Feet begin 1 to 5 cm above the ground: the default pose of the Go1 reaches 16.5 mm below z = 0, the Go2's 18.4 mm.
+_GO1 = LeggedRobot(
+  entity=go1,
+  action_scale=GO1_ACTION_SCALE,
+  torso="trunk",
+  feet=FEET,
+  foot_contact=ContactMatch(
+    mode="geom", pattern=tuple(f"{foot}_foot_collision" for foot in FEET), entity="robot", preserve_order=True
+  ),
+  foot_rays=RingPatternCfg(radius=0.04, num_samples=4),
+  foot_friction=(
+    geom_friction(_FOOT_GEOMS, (0.3, 1.5), axes=(0,), shared=True),
+    geom_friction(_FOOT_GEOMS, (1e-4, 2e-2), axes=(1,), distribution="log_uniform", shared=True),
+    geom_friction(_FOOT_GEOMS, (1e-5, 5e-3), axes=(2,), distribution="log_uniform", shared=True),
+  ),
+  start_height=(0.0265, 0.0665),
+  std_standing=STD_STANDING,
+  std_walking=STD_MOVING,
+  std_running=STD_MOVING,
+  sim=physics(cone="elliptic", impratio=10.0, ccd_iterations=50),
+)
+_GO2 = replace(_GO1, entity=go2, action_scale=GO2_ACTION_SCALE, torso="base", start_height=(0.0284, 0.0684))
 
 
 def _rough_env(robot: LeggedRobot, *, trunk_geoms: str) -> ManagerBasedRlEnvCfg:
@@ -79,9 +69,6 @@ def _rough_env(robot: LeggedRobot, *, trunk_geoms: str) -> ManagerBasedRlEnvCfg:
   return cfg
 
 
-# Feet begin 1 to 5 cm above the ground: the default pose of the Go1 reaches 16.5 mm below z = 0, the Go2's 18.4 mm.
-_GO1 = _quadruped(go1, GO1_ACTION_SCALE, "trunk", start_height=(0.0265, 0.0665))
-_GO2 = _quadruped(go2, GO2_ACTION_SCALE, "base", start_height=(0.0284, 0.0684))
 GO1 = RobotTasks(
   experiment_name="go1_velocity",
   max_iterations=10_000,

@@ -39,8 +39,12 @@ def joint_vel_hinge(env: "ManagerBasedRlEnv", *, max_vel: float, asset: SceneEnt
 
 def hand_distance(env: "ManagerBasedRlEnv", *, command: str, hand: SceneEntityCfg) -> torch.Tensor:
   """Return the distance of the hand from the centre of the object, (num_envs,) [m]."""
-  place = env.scene[hand.name].data.site_pos_w[:, hand.site_ids].squeeze(1)
-  return torch.linalg.vector_norm(lift_command(env, command).object_pos_w - place, dim=-1)
+  return torch.linalg.vector_norm(lift_command(env, command).object_pos_w - hand_pos(env, hand), dim=-1)
+
+
+def hand_pos(env: "ManagerBasedRlEnv", hand: SceneEntityCfg) -> torch.Tensor:
+  """Return the position of the hand, world frame, (num_envs, 3) [m]."""
+  return env.scene[hand.name].data.site_pos_w[:, hand.site_ids].squeeze(1)
 
 
 def lift_command(env: "ManagerBasedRlEnv", name: str) -> LiftCommand:
