@@ -158,11 +158,11 @@ WORLDS: list[tuple[Any, list[int]]] = [
   (None, [0, 1, 2, 3]),
 ]
 NO_WORLDS: list[tuple[Any, str]] = [
-  ([0, 4], r"world 4 does not exist; there are worlds 0 to 3"),
-  ([-1], r"world -1 does not exist"),
-  (torch.ones(3, dtype=torch.bool), r"a bool mask of shape \(4,\) or .*, got torch.bool of shape \(3,\)"),
-  ([0.5], r"whole numbers in one row, got torch.float32"),
-  ([[0, 1]], r"in one row"),
+  ([0, 4], r"env_ids must be in \[0, 3\], got \[0, 4\]"),
+  ([-1], r"env_ids must be in \[0, 3\], got \[-1\]"),
+  (torch.ones(3, dtype=torch.bool), r"env_ids must be a whole number, got \[True, True, True\]"),
+  ([0.5], r"env_ids must be a whole number"),
+  ([[0, 1]], r"env_ids must be a whole number"),
 ]
 
 

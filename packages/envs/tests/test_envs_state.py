@@ -121,8 +121,8 @@ def test_a_state_that_does_not_fit_in_one_place_changes_nothing(make: Make) -> N
   run(other, range(5))
   before = leaves(env.state_dict())
   for path, value, message in (
-    ("metrics._steps", None, r"MetricsManager\._steps: missing from the saved state"),
-    ("scene.entities", {}, r"Scene\.entities\.robot: missing from the saved state"),
+    ("metrics._steps", None, r"env\.metrics\._steps: missing from the saved state"),
+    ("scene.entities", {}, r"env\.scene\.entities\.robot: missing from the saved state"),
     ("recorders", None, "recorders: missing from the saved state"),
     ("sim.data", None, "saved state lacks 'data'"),
     ("rng", torch.zeros(16, dtype=torch.uint8), "rng: saved on another kind of device"),

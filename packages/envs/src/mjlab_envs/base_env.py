@@ -3,12 +3,12 @@
 import contextlib
 import logging
 import math
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
-from mjlab_core import Stateful
+from mjlab_core import Limits, Stateful, StatefulDict, check_value
 from mjlab_core.state import refuse_state
 from mjlab_managers import (
   ActionManager,
@@ -44,6 +44,18 @@ MANAGERS: dict[str, tuple[str, type[ManagerBase[Any]]]] = {
 """Attribute and type of the manager of each part of a config, in the order in which they are built."""
 
 _log = logging.getLogger("mjlab")
+
+
+class EnvState(StatefulDict[Stateful]):
+  """Counters of an environment, and the state of its scene and managers by name."""
+
+  def __init__(self, num_envs: int, device: torch.device) -> None:
+    super().__init__()
+    self.num_envs, self.device = num_envs, device
+    self.episode_length = self.state(dtype=torch.int64)
+    self.pending = self.state(dtype=torch.bool)
+    """Worlds that ended and wait for a reset, bool (num_envs,)."""
+    self.step_counter = self.state(dtype=torch.int64, shared=True)
 
 
 class ManagerBasedEnv:
@@ -87,7 +99,7 @@ class ManagerBasedEnv:
   """Folder of a training run, which sets it. Dumps of diverged worlds go to its subfolder `nan_dumps`."""
 
   _step_graph: StepGraph
-  _pending: torch.Tensor
+  _state: EnvState
   _announced: set[str]
   _compiled: tuple[CompiledTerms, ...] = ()
 
@@ -151,12 +163,7 @@ class ManagerBasedEnv:
 
   def state_dict(self) -> dict[str, Any]:
     """Return the state that the next step depends on, as fresh tensors."""
-    return {
-      **{name: tensor.clone() for name, tensor in self._own_state().items()},
-      "rng": self.rng.get_state(),
-      "sim": self.sim.state_dict(),
-      **{name: part.state_dict() for name, part in self._stateful_parts().items()},
-    }
+    return {**self._state.state_dict(), "rng": self.rng.get_state(), "sim": self.sim.state_dict()}
 
   def load_state_dict(self, state: dict[str, Any]) -> None:
     """Restore a `state_dict` of an environment with the same config.
@@ -164,36 +171,14 @@ class ManagerBasedEnv:
     Raises:
       MjlabError: the state belongs to another task, number of worlds or kind of device; nothing was changed.
     """
-    refuse_state(self._state_problems(state))
-    self.sim.load_state_dict(state["sim"])
-    for name, part in self._stateful_parts().items():
-      part.load_state_dict(state[name])
-    for name, tensor in self._own_state().items():
-      tensor.copy_(state[name])
-    self.rng.set_state(state["rng"].cpu())
-
-  def _state_problems(self, state: dict[str, Any]) -> Iterator[str]:
-    own, parts = self._own_state(), self._stateful_parts()
-    for name in (*own, *parts, "sim", "rng"):
-      if name not in state:
-        yield f"{name}: missing from the saved state, which has: {', '.join(state) or 'nothing'}."
-    for name, tensor in own.items():
-      if state[name].shape != tensor.shape:
-        yield f"{name}: saved shape {tuple(state[name].shape)}, here {tuple(tensor.shape)}."
+    own = {name: part for name, part in state.items() if name not in ("rng", "sim")}
+    problems = list(self._state.state_problems(own, "env"))
     if state["rng"].shape != self.rng.get_state().shape:
-      yield f"rng: saved on another kind of device, here it is {self.device}."
-    for name, part in parts.items():
-      yield from part.state_problems(state[name])
-
-  def _own_state(self) -> dict[str, torch.Tensor]:
-    return {
-      "episode_length": self.episode_length_buf,
-      "pending": self._pending,
-      "step_counter": self.common_step_counter,
-    }
-
-  def _stateful_parts(self) -> dict[str, Stateful]:
-    return {"scene": self.scene, **self.managers}
+      problems.append(f"rng: saved on another kind of device, here it is {self.device}.")
+    refuse_state(iter(problems))
+    self.sim.load_state_dict(state["sim"])
+    self._state.restore(own)
+    self.rng.set_state(state["rng"].cpu())
 
   def load_progress(self, state: dict[str, Any]) -> None:
     """Restore the progress of training from a `state_dict`, also of another number of worlds.
@@ -269,21 +254,14 @@ def select_worlds(env_ids: torch.Tensor | Sequence[int] | None, num_envs: int, d
   """Return a bool mask (num_envs,) from a mask, from world numbers, or of all worlds (None).
 
   Raises:
-    ValueError: the mask has another length, a number is out of range, or `env_ids` is neither.
+    ConfigError: the mask has another length, a number is out of range, or `env_ids` is neither.
   """
   if env_ids is None:
     return torch.ones(num_envs, dtype=torch.bool, device=device)
   chosen = torch.as_tensor(env_ids, device=device)
   if chosen.dtype == torch.bool and chosen.shape == (num_envs,):
     return chosen.clone()
-  if chosen.numel() and (chosen.is_floating_point() or chosen.dtype == torch.bool or chosen.dim() != 1):
-    raise ValueError(
-      f"worlds are a bool mask of shape ({num_envs},) or whole numbers in one row, got {chosen.dtype} of shape "
-      f"{tuple(chosen.shape)}"
-    )
-  outside = chosen[(chosen < 0) | (chosen >= num_envs)]
-  if outside.numel():
-    raise ValueError(f"world {int(outside[0])} does not exist; there are worlds 0 to {num_envs - 1}")
+  check_value("env_ids", chosen.tolist(), Annotated[tuple[int, ...], Limits(ge=0, le=num_envs - 1)])
   mask = torch.zeros(num_envs, dtype=torch.bool, device=device)
   mask[chosen.long()] = True
   return mask

@@ -14,7 +14,7 @@ from mjlab_scene import Scene
 from mjlab_sim import NanGuard, Simulation
 
 from mjlab_envs import rehearsal, viewing
-from mjlab_envs.base_env import MANAGERS, Observations, cloned, select_worlds
+from mjlab_envs.base_env import MANAGERS, EnvState, Observations, cloned, select_worlds
 from mjlab_envs.compiled_terms import CompiledTerms
 from mjlab_envs.env_cfg import ManagerBasedRlEnvCfg
 from mjlab_envs.mdp.terminations import nan_detection
@@ -90,11 +90,11 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
     self._camera: viewing.Camera | None = None
 
     n, device = self.num_envs, self.device
-    self.episode_length_buf = torch.zeros(n, dtype=torch.int64, device=device)
-    self.common_step_counter = torch.zeros((), dtype=torch.int64, device=device)
+    self._state = EnvState(n, device)
+    self._state["scene"] = self.scene
+    self.episode_length_buf, self.common_step_counter = self._state.episode_length, self._state.step_counter
     self.reset_buf = torch.zeros(n, dtype=torch.bool, device=device)
     self._everybody = torch.ones(n, dtype=torch.bool, device=device)
-    self._pending = torch.zeros(n, dtype=torch.bool, device=device)
     self._announced = set()
 
     self._step_graph = self.sim.capture(self._step_stages, generators=(self.rng,))
@@ -130,7 +130,7 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
     }
     for part, (name, kind) in MANAGERS.items():
       manager = kind(parts[part], self, problems=problems, **options.get(part, {}))
-      self.managers[part] = manager
+      self.managers[part] = self._state[part] = manager
       setattr(self, name, manager)
       if isinstance(manager, EventManager):
         self.sim.expand_model_fields(manager.model_fields)
@@ -187,7 +187,7 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
     if self.cfg.auto_reset:
       self.reset_buf.copy_(self.termination_manager.dones)
     else:
-      self._pending.copy_(self.termination_manager.dones)
+      self._state.pending.copy_(self.termination_manager.dones)
 
   def _reward(self) -> None:
     self.reward_manager.compute()
@@ -242,8 +242,8 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
       raise TypeError(f"action must be a torch tensor, got {type(action).__name__}; torch.as_tensor makes one")
     if action.shape != self._action.shape:
       raise ValueError(f"action must have shape {tuple(self._action.shape)}, got {tuple(action.shape)}")
-    if not self.cfg.auto_reset and bool(self._pending.any()):
-      worlds = self._pending.nonzero().flatten().tolist()
+    if not self.cfg.auto_reset and bool(self._state.pending.any()):
+      worlds = self._state.pending.nonzero().flatten().tolist()
       raise RuntimeError(f"the episodes of worlds {worlds} ended; reset them before the next step")
     # A step is not differentiable; a policy may be called outside torch.no_grad().
     self._action.copy_(action.detach())
@@ -294,7 +294,7 @@ class ManagerBasedRlEnv(viewing.ViewableEnv):
       self.rng.manual_seed(seed)
     with self._one_torch_thread():
       self._reset(mask)
-      self._pending.masked_fill_(mask, False)
+      self._state.pending.masked_fill_(mask, False)
       # No time passes in any world, so the others' commands stay as they are.
       self.command_manager.compute(0.0, self._everybody)
       self.observation_manager.compute(mask, advance=mask)

@@ -114,8 +114,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
     self._host_weights = weights
     self._update_activity()
 
-  def load_state_dict(self, state: Mapping[str, Any]) -> None:
-    super().load_state_dict(state)
+  def restore(self, state: Mapping[str, Any], mask: torch.Tensor | None = None) -> None:
+    super().restore(state, mask)
     # A weight from the config takes precedence; only weights that curricula set on the device are part of the state.
     for index, (name, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
       if name not in self._on_device:

@@ -1,5 +1,7 @@
 """Actions: the policy's output becomes targets of joints, tendons and sites."""
 
+from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -8,9 +10,13 @@ from mjlab_core import Finite, Limits, MjlabError, where_
 from mjlab_managers import ActionTargets
 
 from mjlab_envs.mdp.driven_targets import DrivenTargets, DrivenTargetsCfg
+from mjlab_envs.mdp.readings import joints, selected
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
+
+Positions = Callable[[], torch.Tensor]
+"""Function that returns the positions of the driven joints, (num_envs, joints) [rad, m]."""
 
 
 class AffineAction(DrivenTargets):
@@ -54,53 +60,52 @@ class AffineAction(DrivenTargets):
     return self._export(lambda action: twin.clipped(twin.affine(action)))
 
 
-class SmoothedJointPositionAction(AffineAction):
-  """See `SmoothedJointPositionActionCfg`."""
+class _FollowingAction(AffineAction):
+  """Base of actions whose targets depend on the last ones, which are the joint positions when an episode begins."""
 
-  def __init__(self, cfg: "SmoothedJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "AffineActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
-    self._weight = 1.0 - cfg.smoothing
-    self._smoothed = self.state_of(self.measured_positions().clone())
-
-  def process_actions(self, actions: torch.Tensor) -> None:
-    self._smoothed.lerp_(self.clipped(self.affine(actions)), self._weight)
-    self.set_targets(self._smoothed)
-
-  def exported(self) -> ActionTargets:
-    twin, (reading, driven) = self._on_cpu(), self._position_reading()
-
-    def compute(action: torch.Tensor, last: torch.Tensor, _: torch.Tensor) -> torch.Tensor:
-      return torch.lerp(last, twin.clipped(twin.affine(action)), twin._weight)
-
-    return self._export(compute, reading, start=driven)
-
-  def reset(self, mask: torch.Tensor) -> None:
-    where_(self._smoothed, mask, self.measured_positions())
-
-
-class RelativeJointPositionAction(AffineAction):
-  """See `RelativeJointPositionActionCfg`."""
-
-  def __init__(self, cfg: "RelativeJointPositionActionCfg", env: "ManagerBasedRlEnv") -> None:
-    super().__init__(cfg, env)
-    self._from_target = cfg.relative_to == "target"
     self._previous = self.state_of(self.measured_positions().clone())
 
+  @abstractmethod
+  def next_targets(self, action: torch.Tensor, last: torch.Tensor, positions: Positions) -> torch.Tensor:
+    """Return targets from the raw action, the last targets and the joint positions, (num_envs, targets)."""
+
   def process_actions(self, actions: torch.Tensor) -> None:
-    base = self._previous if self._from_target else self.measured_positions()
-    self._previous.copy_(self.clipped(base + self.affine(actions)))
+    self._previous.copy_(self.next_targets(actions, self._previous, self.measured_positions))
     self.set_targets(self._previous)
 
   def exported(self) -> ActionTargets:
-    twin, (reading, driven) = self._on_cpu(), self._position_reading()
+    twin, reading = self._on_cpu(), joints(self.env, self.cfg.entity, "position")
+    driven = selected(self._ids, torch.zeros(1, len(reading.columns)))
 
     def compute(action: torch.Tensor, last: torch.Tensor, positions: torch.Tensor) -> torch.Tensor:
-      return twin.clipped((last if twin._from_target else driven(positions)) + twin.affine(action))
+      return twin.next_targets(action, last, lambda: driven(positions))
 
-    return self._export(compute, reading, start=driven)
+    return self._export(compute, readings=(reading,), start=driven)
 
   def reset(self, mask: torch.Tensor) -> None:
     where_(self._previous, mask, self.measured_positions())
+
+
+class SmoothedJointPositionAction(_FollowingAction):
+  """See `SmoothedJointPositionActionCfg`."""
+
+  cfg: "SmoothedJointPositionActionCfg"
+
+  def next_targets(self, action: torch.Tensor, last: torch.Tensor, positions: Positions) -> torch.Tensor:
+    del positions
+    return torch.lerp(last, self.clipped(self.affine(action)), 1.0 - self.cfg.smoothing)
+
+
+class RelativeJointPositionAction(_FollowingAction):
+  """See `RelativeJointPositionActionCfg`."""
+
+  cfg: "RelativeJointPositionActionCfg"
+
+  def next_targets(self, action: torch.Tensor, last: torch.Tensor, positions: Positions) -> torch.Tensor:
+    base = last if self.cfg.relative_to == "target" else positions()
+    return self.clipped(base + self.affine(action))
 
 
 class BinaryJointPositionAction(DrivenTargets):

@@ -11,7 +11,6 @@ from mjlab_core import (
   as_index,
   fill_,
   match_names,
-  match_values_full,
   normalize,
   quat_apply,
   quat_box_minus,
@@ -129,9 +128,7 @@ class DifferentialIKAction(DrivenTargets):
       return self._entity.data.default_joint_pos[:, self._q].clone()
     if not cfg.posture_weight:
       raise MjlabError("posture_target is given, but posture_weight is 0")
-    owner = f"{self._owner}: posture_target"
-    numbers = match_values_full(cfg.posture_target, self.target_names, what="joint", owner=owner)
-    return torch.tensor([numbers], **self._constant)
+    return self._per_target(cfg.posture_target, "posture_target")
 
   @property
   def action_dim(self) -> int:

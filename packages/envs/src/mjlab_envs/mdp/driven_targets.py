@@ -1,17 +1,15 @@
 """Bases of actions that set targets of joints, tendons or sites."""
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import torch
 from mjlab_actuators import Transmission
 from mjlab_core import Bounds, as_index, match_names, match_values_full
-from mjlab_managers import ActionTargets, ActionTerm, ActionTermCfg, Reading
+from mjlab_managers import ActionTargets, ActionTerm, ActionTermCfg
 from mjlab_scene import Quantity
-
-from mjlab_envs.mdp.readings import joints, selected
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
@@ -60,8 +58,10 @@ class DrivenTargets(ActionTerm):
     )
     self._ids = [names.index(name) for name in self.target_names]
     self._target = self._entity.target_view(kind, self.quantity, self._ids)
-    self._constant: dict[str, Any] = {"device": env.device, "dtype": env.sim.dtype}
-    self._lo, self._hi = self._bounds(cfg.clip)
+    self._lo = self._hi = None
+    if cfg.clip is not None:
+      bounds = {".*": cfg.clip} if isinstance(cfg.clip, tuple) else cfg.clip
+      self._lo, self._hi = self._per_target(bounds, "clip", default=(-torch.inf, torch.inf)).unbind(-1)
     if kind == "joint":
       # The same joints as columns of positions and of velocities; an actuated joint has one of each.
       ix = self._entity.indexing
@@ -70,24 +70,11 @@ class DrivenTargets(ActionTerm):
       )
     self._has_bias = (kind, self.quantity) == ("joint", "position")
 
-  def _per_target(self, values: float | Mapping[str, float], what: str) -> torch.Tensor:
+  def _per_target(self, values: Any, what: str, **default: Any) -> torch.Tensor:
+    """Return values by pattern, or one for all, as a row, (1, targets, ...)."""
     owner = f"{self._owner}: {what}"
-    numbers = match_values_full(values, self.target_names, what=self.transmission, owner=owner)
-    return torch.tensor([numbers], **self._constant)
-
-  def _bounds(self, clip: Bounds | dict[str, Bounds] | None) -> tuple[torch.Tensor, torch.Tensor] | tuple[None, None]:
-    if clip is None:
-      return None, None
-    by_pattern = {".*": clip} if isinstance(clip, tuple) else clip
-    bounds = match_values_full(
-      by_pattern,
-      self.target_names,
-      what=self.transmission,
-      owner=f"{self._owner}: clip",
-      default=(-float("inf"), float("inf")),
-    )
-    table = torch.tensor([bounds], **self._constant)
-    return table[..., 0], table[..., 1]
+    row = match_values_full(values, self.target_names, what=self.transmission, owner=owner, **default)
+    return torch.tensor([row], device=self.device, dtype=self.env.sim.dtype)
 
   @property
   def driven(self) -> frozenset[str]:
@@ -116,16 +103,6 @@ class DrivenTargets(ActionTerm):
     vars(twin).update({name: value[:1].cpu().float() for name, value in tensors.items()})
     return twin
 
-  def _export(
-    self,
-    compute: Callable[..., torch.Tensor],
-    *readings: Reading,
-    start: Callable[[torch.Tensor], torch.Tensor] | None = None,
-  ) -> ActionTargets:
-    names = tuple(self.target_names)
-    return ActionTargets(quantity=self.quantity, joints=names, compute=compute, readings=readings, start=start)
-
-  def _position_reading(self) -> tuple[Reading, Callable[[torch.Tensor], torch.Tensor]]:
-    """Return the reading of joint positions, and the computation that takes those of the driven joints."""
-    reading = joints(self.env, self.cfg.entity, "position")
-    return reading, selected(self._ids, torch.zeros(1, len(reading.columns)))
+  def _export(self, compute: Callable[..., torch.Tensor], **memory: Any) -> ActionTargets:
+    """Return the computation of targets outside the simulation; `memory` as for `ActionTargets`."""
+    return ActionTargets(quantity=self.quantity, joints=tuple(self.target_names), compute=compute, **memory)
