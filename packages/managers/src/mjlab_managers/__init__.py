@@ -22,8 +22,9 @@ from mjlab_managers.noise import (
   NoiseModelWithAdditiveBiasCfg,
   UniformNoiseCfg,
 )
-from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
+from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 from mjlab_managers.observation_manager import ObservationManager
+from mjlab_managers.observation_processing import TermLayout
 from mjlab_managers.recorder_manager import RecorderManager, RecorderTerm, RecorderTermCfg
 from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
 from mjlab_managers.scene_entity import SceneEntityCfg

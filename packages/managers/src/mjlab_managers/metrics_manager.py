@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import KW_ONLY, dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from mjlab_core import fill_, where_
 
+from mjlab_managers.binding import call_terms
 from mjlab_managers.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
 
 Reduction = Literal["mean", "sum", "last", "max"]
-
-# Columns come in this order, so that each kind is a slice.
-_REDUCTIONS: tuple[Reduction, ...] = get_args(Reduction)
 
 
 @dataclass
@@ -38,48 +35,44 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
   cfg_type = MetricsTermCfg
 
   def _make(self) -> None:
-    ranks = {name: _REDUCTIONS.index(self._cfgs[name].reduce) for name in self._terms}
-    self._names = sorted(ranks, key=lambda name: ranks[name])
-    counts = [list(ranks.values()).count(rank) for rank in range(len(_REDUCTIONS))]
-    num_mean, self._num_added, self._max_start, _ = itertools.accumulate(counts)
-    self._is_mean = torch.arange(len(self._names), device=self.device) < num_mean
-    self._substep_columns = [i for i, name in enumerate(self._names) if self._cfgs[name].per_substep]
+    cfgs = list(self._cfgs.values())
+
+    def of_kind(kind: Reduction) -> torch.Tensor:
+      return torch.tensor([[cfg.reduce == kind for cfg in cfgs]], dtype=torch.bool, device=self.device)
+
+    self._is_mean, self._is_max = of_kind("mean"), of_kind("max")
+    self._has_max = any(cfg.reduce == "max" for cfg in cfgs)
+    # Factor of the values of the steps before.
+    self._keeps = (~of_kind("last")).float()
+    self._by_substep = [term for name, term in self._terms.items() if self._cfgs[name].per_substep]
+    self._by_step = [term for term in self._terms.values() if term not in self._by_substep]
     self._substeps = round(self.env.step_dt / self.env.physics_dt)
 
-    self._initial = torch.zeros(1, len(self._names), device=self.device)
-    self._initial[:, self._max_start :] = -torch.inf
-    self._episode = self.state((len(self._names),), fill=self._initial)
+    self._initial = torch.where(self._is_max, -torch.inf, 0.0)
+    self._episode = self.state((len(cfgs),), fill=self._initial)
     self._steps = self.state(dtype=torch.int64)
-    self._substep_sums = self.state((len(self._substep_columns),))
+    self._substep_sums = self.state((len(self._by_substep),))
     self._lay_out("metrics")
     self._shown = self._values
 
   def compute_substep(self) -> None:
     """Evaluate the per-substep metrics. Call it after every physics substep."""
-    if self._substep_columns:
-      values = [self._terms[self._names[column]]() for column in self._substep_columns]
-      self._substep_sums.add_(torch.stack(values, dim=1))
+    if self._by_substep:
+      self._substep_sums.add_(torch.stack(call_terms(self._by_substep), dim=1))
 
   def compute(self) -> None:
     """Evaluate the other metrics and add the step to the episode."""
     if not self._terms:
       return
-    values: dict[int, torch.Tensor] = {}
-    if self._substep_columns:
-      means = (self._substep_sums / self._substeps).unbind(1)
-      self._substep_sums.zero_()
-      values = dict(zip(self._substep_columns, means, strict=True))
-    others = [i for i in range(len(self._names)) if i not in values]
-    values |= dict(zip(others, self.evaluate([self._terms[self._names[i]] for i in others]), strict=True))
-    now = self._put([values[i] for i in range(len(self._names))])
-    added, top = self._num_added, self._max_start
-    if added:
-      self._episode[:, :added].add_(now[:, :added])
-    if top > added:
-      self._episode[:, added:top].copy_(now[:, added:top])
-    if top < len(self._terms):
-      highest = self._episode[:, top:]
-      highest.copy_(torch.maximum(highest, now[:, top:]))
+    means = (self._substep_sums / self._substeps).unbind(1)
+    self._substep_sums.zero_()
+    values = dict(zip(self._by_substep, means, strict=True))
+    values |= dict(zip(self._by_step, self.evaluate(self._by_step), strict=True))
+    now = self._put([values[term] for term in self._terms.values()])
+    highest = torch.maximum(self._episode, now) if self._has_max else None
+    torch.addcmul(now, self._episode, self._keeps, out=self._episode)
+    if highest is not None:
+      torch.where(self._is_max, highest, self._episode, out=self._episode)
     self._steps.add_(1)
 
   def get_value(self, name: str) -> torch.Tensor:
@@ -98,8 +91,7 @@ class MetricsManager(VectorManager[MetricsTermCfg]):
     self._log.add(self._episode / divisors, mask & (self._steps > 0))
     where_(self._episode, mask, self._initial)
     fill_(self._steps, mask, 0)
-    if self._substep_columns:
-      fill_(self._substep_sums, mask, 0.0)
+    fill_(self._substep_sums, mask, 0.0)
     super().reset(mask)
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:

@@ -64,19 +64,3 @@ class ObservationGroupCfg(Config):
 
   `sanitize` replaces them by 0 and counts them. `warn` also names the term in the logger "mjlab" once per log interval.
   `disabled` passes them on. `error` raises, and interrupts the recorded step for the check."""
-
-
-@dataclass(kw_only=True)
-class TermLayout:
-  """Place and processing of a term in the observation of its group, for a computation outside the simulation."""
-
-  name: str
-  columns: slice
-  """Columns in the concatenated group."""
-  shape: tuple[int, ...]
-  """Shape of one world's observation, history included."""
-  frame_shape: tuple[int, ...]
-  """Shape of one frame."""
-  history_length: int
-  clip: tuple[float, float] | None
-  scale: float | tuple[float, ...] | None

@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import Any, cast
 
 import torch
-from mjlab_core import ConfigError, MjlabError, Stateful, check_name, where_
+from mjlab_core import ConfigError, MjlabError, check_name, where_
 from mjlab_core.config import write_locked
 from mjlab_core.tables import table
 
@@ -17,9 +17,9 @@ from mjlab_managers.binding import Term, cfg_problems, same
 from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg, TermLayout
+from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 from mjlab_managers.observation_memory import Memory
-from mjlab_managers.observation_processing import Processing, Slot
+from mjlab_managers.observation_processing import Processing, TermLayout
 from mjlab_managers.term import ManagerTermBase
 from mjlab_managers.vector_manager import nan_if_zero
 
@@ -40,7 +40,7 @@ class ObservationManager(ManagerBase[Any]):
     self, cfgs: Mapping[str, ObservationGroupCfg | None], env: ManagerEnv, *, problems: list[str] | None = None
   ) -> None:
     self._groups: dict[str, ObservationGroupCfg] = {}
-    self._slots: dict[str, Slot] = {}
+    self._slots: dict[str, TermLayout] = {}
     super().__init__(cast(Any, cfgs), env, problems=problems)
 
   # Build.
@@ -85,7 +85,7 @@ class ObservationManager(ManagerBase[Any]):
       return f"returned {before} for each world before, and {shape} now."
     return ""
 
-  def _slot(self, term: Term, shape: tuple[int, ...]) -> Slot:
+  def _slot(self, term: Term, shape: tuple[int, ...]) -> TermLayout:
     group, _, name = term.name.partition("/")
     group_cfg, cfg = self._groups[group], self._cfgs[term.name]
     history, flatten = cfg.history_length, cfg.flatten_history_dim
@@ -94,9 +94,12 @@ class ObservationManager(ManagerBase[Any]):
     width, out_shape = math.prod(shape), shape
     if history > 0:
       out_shape = (history * width,) if flatten else (history, *shape)
-    earlier = self._slots.values()
-    frame, out = sum(slot.width for slot in earlier), sum(math.prod(slot.shape) for slot in earlier)
-    return Slot(
+    earlier = list(self._slots.values())
+    frame = earlier[-1].frame.stop if earlier else 0
+    out = earlier[-1].out.stop if earlier else 0
+    column = earlier[-1].columns.stop if earlier and earlier[-1].group == group else 0
+    out_width = math.prod(out_shape)
+    return TermLayout(
       group=group,
       name=name,
       group_cfg=group_cfg,
@@ -105,8 +108,9 @@ class ObservationManager(ManagerBase[Any]):
       frame_shape=shape,
       history_length=history,
       shape=out_shape,
+      columns=slice(column, column + out_width),
       frame=slice(frame, frame + width),
-      out=slice(out, out + math.prod(out_shape)),
+      out=slice(out, out + out_width),
     )
 
   def _make(self) -> None:
@@ -191,20 +195,7 @@ class ObservationManager(ManagerBase[Any]):
 
   def layout(self, group: str) -> list[TermLayout]:
     """Return the columns and the processing of each term of a group."""
-    slots = self._lookup(self._by_group, group)
-    start = slots[0].out.start
-    return [
-      TermLayout(
-        name=slot.name,
-        columns=slice(slot.out.start - start, slot.out.stop - start),
-        shape=slot.shape,
-        frame_shape=slot.frame_shape,
-        history_length=slot.history_length,
-        clip=slot.cfg.clip,
-        scale=slot.cfg.scale,
-      )
-      for slot in slots
-    ]
+    return self._lookup(self._by_group, group)
 
   def source(self, group: str, name: str) -> TermSource:
     """Return the computation of a term from readings outside the simulation.
@@ -213,7 +204,7 @@ class ObservationManager(ManagerBase[Any]):
       UnknownNameError: no such group or term.
       MjlabError: the term declares no source.
     """
-    cfg, term = self.get_term_cfg(group, name), self.term(f"{group}/{name}")
+    term, cfg = self.term(f"{group}/{name}"), self.get_term_cfg(group, name)
     if cfg.source is not None:
       return TermSource(readings=(Reading(name=cfg.source, read=term),))
     describe = getattr(term.func, "source", None)
@@ -262,7 +253,11 @@ class ObservationManager(ManagerBase[Any]):
     """
     if not self._slots:
       return self.buffers
-    torch.cat(self._evaluate(advance), dim=1, out=self._frame)
+    before = None if advance is None else self._stateful_terms.state_dict()
+    values = dict(zip(self._distinct, self.evaluate(self._distinct), strict=True))
+    torch.cat([values[term].flatten(1) for term in self._evaluated.values()], dim=1, out=self._frame)
+    if advance is not None and before is not None:
+      self._stateful_terms.restore(before, ~advance)
     clean = self._out if self._memory.is_empty and advance is None else self._clean
     self._processing.apply(self._frame, clean, advance)
     final = self._memory.advance(clean, fresh, advance)
@@ -301,21 +296,6 @@ class ObservationManager(ManagerBase[Any]):
       for slot in self._slots.values()
       if slot.group_cfg.nan_policy == "warn" and prefix + slot.path in log
     ]
-
-  def _evaluate(self, advance: torch.Tensor | None) -> list[torch.Tensor]:
-    terms = self._distinct
-    values = self.evaluate(terms) if advance is None else [self._observe(term, advance) for term in terms]
-    raw = {term: value.flatten(1) for term, value in zip(terms, values, strict=True)}
-    return [raw[term] for term in self._evaluated.values()]
-
-  def _observe(self, term: Term, advance: torch.Tensor) -> torch.Tensor:
-    """Return the value of a term. Its state advances in the worlds of `advance` only."""
-    func: Any = term.func
-    before = func.state_dict() if isinstance(func, Stateful) else None
-    value = term()
-    if before is not None:
-      func.restore(before, ~advance)
-    return value
 
   def reset(self, mask: torch.Tensor) -> None:
     """Draw the episode noise of the worlds in `mask`, bool (N,), and reset class terms there.

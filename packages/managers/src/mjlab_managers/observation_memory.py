@@ -8,7 +8,7 @@ import torch
 from mjlab_core import DelayBuffer, HistoryBuffer, Index, Stateful, StatefulDict, as_index
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.observation_processing import Slot
+from mjlab_managers.observation_processing import TermLayout
 
 
 class Memory(Stateful):
@@ -19,7 +19,7 @@ class Memory(Stateful):
     env: the environment.
   """
 
-  def __init__(self, slots: Sequence[Slot], env: ManagerEnv) -> None:
+  def __init__(self, slots: Sequence[TermLayout], env: ManagerEnv) -> None:
     self.num_envs, self.device = env.num_envs, env.device
     self._delays: StatefulDict[DelayBuffer] = StatefulDict()
     self._histories: StatefulDict[HistoryBuffer] = StatefulDict()

@@ -17,8 +17,8 @@ from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermC
 
 
 @dataclass(kw_only=True, eq=False)
-class Slot:
-  """Term of a group, with its columns in the frame of all terms and in the output."""
+class TermLayout:
+  """Term of an observation group: its columns, shapes and processing."""
 
   group: str
   name: str
@@ -30,15 +30,21 @@ class Slot:
   history_length: int
   shape: tuple[int, ...]
   """Shape of the observation of one world, history included."""
+  columns: slice
+  """Columns in the concatenated group."""
   frame: slice
+  """Columns in the newest frame of all groups."""
   out: slice
+  """Columns in the observations of all groups."""
 
   @property
   def path(self) -> str:
+    """Name of the term in the manager, "group/term"."""
     return f"{self.group}/{self.name}"
 
   @property
   def width(self) -> int:
+    """Number of columns of one frame."""
     return self.frame.stop - self.frame.start
 
   @property
@@ -63,7 +69,7 @@ class Processing(Stateful):
     ConfigError: an option does not fit its term.
   """
 
-  def __init__(self, slots: Mapping[str, Slot], env: ManagerEnv, before: Processing | None = None) -> None:
+  def __init__(self, slots: Mapping[str, TermLayout], env: ManagerEnv, before: Processing | None = None) -> None:
     self.num_envs, self.device = env.num_envs, env.device
     self._env, self._slots = env, slots
     self._options = self._read_options()
@@ -100,7 +106,7 @@ class Processing(Stateful):
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
     self._checked = None if checked.all() else checked.to(self.device)
 
-  def _add_noise(self, slot: Slot, noises: list[tuple[slice, NoiseCfg]], before: Processing | None) -> None:
+  def _add_noise(self, slot: TermLayout, noises: list[tuple[slice, NoiseCfg]], before: Processing | None) -> None:
     noise = slot.noise
     if noise is None:
       return
@@ -167,7 +173,7 @@ class Processing(Stateful):
         )
 
 
-def _number_problem(slot: Slot) -> str:
+def _number_problem(slot: TermLayout) -> str:
   """Return the reason why clip or scale do not fit a term; empty if they fit."""
   scale = slot.cfg.scale
   if wrong := field_problem(slot.cfg.clip, Bounds | None):

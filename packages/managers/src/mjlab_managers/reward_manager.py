@@ -60,7 +60,6 @@ class RewardManager(VectorManager[RewardTermCfg]):
     self.reward = self.state()
     """Reward of the last step, (N,)."""
     self._idle = torch.zeros(self.num_envs, device=self.device)
-    self._names = self.active_terms
     self._lay_out("reward")
     self._shown = self.step_reward = torch.zeros_like(self._values)
     """Value times weight of each term in the last step, (N, R), not scaled by the step time."""

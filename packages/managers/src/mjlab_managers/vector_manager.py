@@ -59,21 +59,20 @@ class VectorManager(ManagerBase[CfgT]):
 
     return self._misfit(self._tried(term), f"{self.dtype_name} ({self.num_envs},)", fits)
 
-  _names: list[str]
-  """Names of the terms in the order of their columns."""
   _shown: torch.Tensor
   """Values of the terms in the last step, (N, K)."""
 
   def _column(self, name: str) -> int:
-    return self._lookup({name: column for column, name in enumerate(self._names)}, name)
+    self.term(name)
+    return list(self._terms).index(name)
 
   def terms(self, env_idx: int) -> list[tuple[str, list[float]]]:
-    values = dict(zip(self._names, self._shown[env_idx].tolist(), strict=True))
-    return [(name, [float(values[name])]) for name in self._terms]
+    values = self._shown[env_idx].tolist()
+    return [(name, [float(value)]) for name, value in zip(self._terms, values, strict=True)]
 
   def _lay_out(self, kind: str) -> None:
     """Make memory and logs for the values of the terms, side by side."""
-    names = self._names
+    names = list(self._terms)
     self._raw = torch.zeros(self.num_envs, len(names), device=self.device)
     self._values = torch.zeros_like(self._raw)
     self._nonfinite = torch.zeros(len(names), dtype=torch.int64, device=self.device)
