@@ -20,8 +20,6 @@ from mjlab_managers.scene_entity import resolve_entities
 from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.watch import Watch, only_declared
 
-_WORLDS = ("mask", "env_ids")
-
 
 class Term:
   """Term bound to its parameters: `term()`, or `term(mask)` if it acts on some worlds.
@@ -46,7 +44,7 @@ class Term:
   ) -> None:
     self.name, self.owner, self.cfg, self._env = name, owner, cfg, env
     self._kind: Any = cfg.func if isinstance(cfg.func, type) else None
-    self._signature = Signature(cfg.func, 2 if masked and self._kind is None else 1)
+    self._signature = Signature(cfg.func, masked=masked)
     leading = self._signature.leading if self._kind is None else _names(self._kind.__call__)
     self.wants_ids = masked and "env_ids" in leading
     self.worlds = torch.zeros(env.num_envs, dtype=torch.bool, device=env.device)
@@ -91,14 +89,25 @@ class Term:
         raise
     self._takes_scalars = False
     self._build(self.given)
-    with placed("in a trial call"), only_declared(self.func):
-      return self._call(*args)
+    return self.try_call(*args)
 
-  def set_params(self, params: Mapping[str, Any]) -> Callable[[], None] | None:
-    """Change parameters, and return a function that undoes the change, or None if only scalars were written.
+  def snapshot(self) -> Callable[[], None]:
+    """Return a function that undoes later changes of parameters."""
+    attributes = [(obj, dict(vars(obj))) for obj in (self, self.func) if obj is self or self._kind is not None]
+
+    def undo() -> None:
+      for obj, before in attributes:
+        vars(obj).clear()
+        vars(obj).update(before)
+      self._show(self.given)
+
+    return undo
+
+  def set_params(self, params: Mapping[str, Any]) -> bool:
+    """Change parameters, and return True if the term was built again, False if only scalars were written.
 
     Raises:
-      MjlabError: a parameter does not exist or has a wrong value; nothing was changed.
+      MjlabError: a parameter does not exist or has a wrong value.
     """
     if problems := list(self._signature.problems(params, complete=False)):
       raise ConfigError(*problems)
@@ -107,26 +116,14 @@ class Term:
       for name, value in changed.items():
         self._scalars[name].fill_(value)
       self._show({**self.given, **changed})
-      return None
-    attributes = [(obj, dict(vars(obj))) for obj in (self, self.func) if obj is self or self._kind is not None]
+      return False
     state = self.func.state_dict() if self._kind is not None else {}
-
-    def undo() -> None:
-      for obj, before in attributes:
-        vars(obj).clear()
-        vars(obj).update(before)
-      self._show(self.given)
-
-    try:
-      self._build({**self.given, **changed})
-    except Exception:
-      undo()
-      raise
+    self._build({**self.given, **changed})
     if self._kind is not None:
       # Another parameter may change a shape. Then the state begins with its initial values.
       with suppress(MjlabError):
         self.func.load_state_dict(state)
-    return undo
+    return True
 
   def scalar(self, name: str) -> torch.Tensor:
     """Return the scalar of a parameter on the device.
@@ -240,8 +237,7 @@ def cfg_problems(cfg: Any, kind: type, base: type = ManagerTermBase, *, masked: 
   problems = field_problems(cfg)
   if isinstance(cfg, ManagerTermBaseCfg) and isinstance(cfg.params, dict):
     wrong = _form_problem(cfg.func, base, masked=masked)
-    takes_worlds = masked and not isinstance(cfg.func, type)
-    problems += [wrong] if wrong else Signature(cfg.func, 2 if takes_worlds else 1).problems(cfg.params)
+    problems += [wrong] if wrong else Signature(cfg.func, masked=masked).problems(cfg.params)
   return problems
 
 
@@ -260,7 +256,7 @@ def _form_problem(func: Any, base: type, *, masked: bool) -> str:
     return _class_problem(func, base, masked=masked)
   if base is not ManagerTermBase:
     return f"func must be a subclass of {base.__name__}, is {func!r}."
-  signature = Signature(func, 2 if masked else 1)
+  signature = Signature(func, masked=masked)
   leading = signature.leading
   if not leading and not signature.takes_more_positional:
     return "must take the environment as its first parameter."

@@ -121,18 +121,17 @@ class ManagerBase(Stateful, Generic[CfgT]):
       UnknownNameError: no such term.
       ConfigError: a parameter does not exist or has a wrong value; nothing was changed.
     """
-    term = self._with_params(name)
-    undo = None
+    term, is_rebuilt = self._with_params(name), False
+    undo = term.snapshot()
     with self._noting(name):
-      undo = term.set_params(params)
-      if undo is not None:
+      is_rebuilt = term.set_params(params)
+      if is_rebuilt:
         self._refuse(term)
-    if undo is not None:
-      if self._problems:
-        undo()
-      self._adopt(term)
+    if self._problems:
+      undo()
+    self._adopt(term)
     self._report()
-    if undo is not None and not term.wants_ids:
+    if is_rebuilt and not term.wants_ids:
       self.env.request_recapture(f"{self.label}: parameters of '{name}' changed")
 
   def scalar(self, name: str, parameter: str, /) -> torch.Tensor:

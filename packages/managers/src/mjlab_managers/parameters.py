@@ -22,13 +22,14 @@ class Signature:
 
   Args:
     func: the function or class. A built-in without a signature takes anything.
-    num_leading: number of positional parameters before those of the term, such as the environment.
+    masked: a function takes the worlds to act on after the environment.
   """
 
-  def __init__(self, func: Callable[..., Any], num_leading: int) -> None:
+  def __init__(self, func: Callable[..., Any], *, masked: bool) -> None:
     parameters = _parameters(func)
     kinds = {p.kind for p in parameters}
-    self.leading = [p.name for p in parameters if p.kind in _POSITIONAL][:num_leading]
+    self.leading = [p.name for p in parameters if p.kind in _POSITIONAL]
+    del self.leading[1 + (masked and not isinstance(func, type)) :]
     self.takes_more_positional = inspect.Parameter.VAR_POSITIONAL in kinds
     self._takes_any_name = inspect.Parameter.VAR_KEYWORD in kinds
     named = [p for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD) and p.name not in self.leading]
