@@ -209,7 +209,7 @@ def test_a_step_asks_the_device_nothing(env, dispatched) -> None:
   ],
 )
 def test_what_means_nothing_is_an_error_at_build(env, options: dict[str, Any], said: str) -> None:
-  with pytest.raises(ConfigError, match=f"(?s)'camera/image': noise: .*{said}"):
+  with pytest.raises(ConfigError, match=f"(?s)'camera/image': .*{said}"):
     manager_of(env, CameraNoiseCfg(**options))
 
 

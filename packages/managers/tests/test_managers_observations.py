@@ -388,9 +388,9 @@ class TestEvaluation:
     ("options", "said"),
     [
       ({"clip": (1.0, -1.0)}, "clip must not fall"),
-      ({"scale": (1.0, 2.0, 3.0)}, "3 scales for 2 components"),
+      ({"scale": (1.0, 2.0, 3.0)}, "scale: 3 numbers for 2 components"),
       ({"clip": (1.0,)}, "clip must have 2 elements"),
-      ({"scale": float("nan")}, "scale must be finite, got nan"),
+      ({"scale": float("nan")}, "scale must be a number, got nan"),
       ({"delay_min_lag": 3, "delay_max_lag": 1}, "needs delay_min_lag <= delay_max_lag, got 3 and 1"),
       ({"delay_min_lag": -1}, "delay_min_lag must not be negative"),
       ({"delay_max_lag": 1.5}, "delay_max_lag must be a whole number, got 1.5"),
@@ -420,7 +420,7 @@ class TestEvaluation:
     live = manager.get_term_cfg("g", "t")
     live.scale = (1.0, 2.0, 3.0)
     for _ in range(2):
-      with pytest.raises(ConfigError, match="3 scales for 2 components") as raised:
+      with pytest.raises(ConfigError, match="scale: 3 numbers for 2 components") as raised:
         manager.sync()
       assert len(raised.value.problems) == 1
     live.scale = 3.0

@@ -143,22 +143,21 @@ class FusedNoise:
     self._columns = slice(min(where.start for where, _ in parts), max(where.stop for where, _ in parts))
     width = self._columns.stop - self._columns.start
     self._space: dict[str, Any] = {"size": (env.num_envs, width), "device": env.device, "generator": env.rng}
-    low, high, std = torch.zeros(3, 1, width)
-    scales, replaces = torch.zeros(2, 1, width, dtype=torch.bool)
+    low, high, std, scales, replaces = rows = torch.zeros(5, 1, width)
     for where, cfg in parts:
       require(cfg, NoiseCfg, f"expected a NoiseCfg or a NoiseModelCfg, got {described(cfg)}.")
       owner, length = type(cfg).__name__, where.stop - where.start
       check_fields(cfg, owner)
-      lows, highs, stds = (_spread(value, length, owner) for value in cfg.distribution())
-      for bounds in zip(lows, highs, strict=True):
+      own = rows[:, 0, where.start - self._columns.start : where.stop - self._columns.start]
+      for row, value in zip(own[:3], cfg.distribution(), strict=True):
+        row.copy_(per_component(value, length, owner))
+      for bounds in own[:2].T.tolist():
         check_value(f"{owner}: bounds", bounds, Range)
-      own = slice(where.start - self._columns.start, where.stop - self._columns.start)
-      low[0, own], high[0, own], std[0, own] = map(torch.tensor, (lows, highs, stds))
-      scales[0, own], replaces[0, own] = cfg.operation == "scale", cfg.operation == "abs"
+      own[3:] = torch.tensor([[cfg.operation == "scale"], [cfg.operation == "abs"]])
     self._low = low.to(env.device)
     # Vectors of zeros need no operation.
     self._span, self._std, self._scales, self._replaces = (
-      vector.to(env.device) if vector.any() else None for vector in (high - low, std, scales, replaces)
+      vector.to(env.device) if vector.any() else None for vector in (high - low, std, scales.bool(), replaces.bool())
     )
 
   def sample(self) -> torch.Tensor:
@@ -184,10 +183,13 @@ class FusedNoise:
     x.copy_(y)
 
 
-def _spread(value: PerDim, length: int, owner: str) -> tuple[float, ...]:
-  values = tuple(value) if isinstance(value, tuple | list) else (float(value),)
-  if len(values) == 1:
-    return values * length
-  if len(values) != length:
-    raise ConfigError(f"{owner}: {len(values)} numbers for {length} components.")
-  return values
+def per_component(value: PerDim, length: int, owner: str) -> torch.Tensor:
+  """Return one number for each component of a term, (length,).
+
+  Raises:
+    ConfigError: more or fewer numbers than components.
+  """
+  numbers = torch.tensor(value, dtype=torch.float32).flatten()
+  if len(numbers) not in (1, length):
+    raise ConfigError(f"{owner}: {len(numbers)} numbers for {length} components.")
+  return numbers.expand(length)

@@ -7,7 +7,7 @@ from typing import Literal
 
 from mjlab_core import Bounds, Config, Count, Share
 
-from mjlab_managers.noise import NoiseCfg, NoiseModelCfg
+from mjlab_managers.noise import NoiseCfg, NoiseModelCfg, PerDim
 from mjlab_managers.term import ManagerTermBaseCfg
 
 NanPolicy = Literal["sanitize", "warn", "disabled", "error"]
@@ -25,7 +25,7 @@ class ObservationTermCfg(ManagerTermBaseCfg):
   """Noise, applied in groups with `corrupt=True`."""
   clip: Bounds | None = None
   """Smallest and largest value."""
-  scale: float | tuple[float, ...] | None = None
+  scale: PerDim | None = None
   """Factor for all components, or one for each."""
   delay_min_lag: Count = 0
   """Smallest delay [env steps]."""

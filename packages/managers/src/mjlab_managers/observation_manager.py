@@ -128,19 +128,11 @@ class ObservationManager(ManagerBase[Any]):
     self._frame = torch.zeros(self.num_envs, slots[-1].frame.stop if slots else 0, device=self.device)
     self._clean = torch.zeros_like(self._frame)
     self._out = self.state((slots[-1].out.stop if slots else 0,))
-    self._processing = Processing({}, self.env)
-    self._process(None)
+    self._processing = Processing(self._slots, self.env, self._noting)
     self._memory = Memory(slots, self.env)
     self._share()
     self.buffers: dict[str, Observation] = self._views(self._out)
     """Observation of each group, float32 (N, D) or a dict of terms; always the same memory."""
-
-  def _process(self, before: Processing | None) -> None:
-    """Compile the present options, or note the mistakes in them."""
-    try:
-      self._processing = Processing(self._slots, self.env, before)
-    except ConfigError as error:
-      self._problems += error.problems
 
   def _share(self) -> None:
     """Share one evaluation among terms with the same function and parameters. Class terms are never shared."""
@@ -308,8 +300,9 @@ class ObservationManager(ManagerBase[Any]):
   def sync(self) -> None:
     """Read replaced noise, clip, scale and NaN policies from the configs, on the host before each step."""
     if not self._processing.is_current():
-      self._process(self._processing)
+      processing = Processing(self._slots, self.env, self._noting, before=self._processing)
       self._report()
+      self._processing = processing
       self.env.request_recapture(f"{self.label}: noise, clip, scale or NaN policy changed")
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core import Bounds, ConfigError, DivergedError, Stateful, StatefulDict, field_problem
+from mjlab_core import DivergedError, Stateful, StatefulDict, check_fields
 
-from mjlab_managers.binding import Term
+from mjlab_managers.binding import Term, placed
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModel, NoiseModelCfg
+from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModel, NoiseModelCfg, per_component
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 
 
@@ -63,13 +63,17 @@ class Processing(Stateful):
   Args:
     slots: the terms and their columns by path.
     env: the environment.
+    noting: context that collects the mistakes in the options of a term, by its path.
     before: processing with earlier options. Noise models with the same config keep their state.
-
-  Raises:
-    ConfigError: an option does not fit its term.
   """
 
-  def __init__(self, slots: Mapping[str, TermLayout], env: ManagerEnv, before: Processing | None = None) -> None:
+  def __init__(
+    self,
+    slots: Mapping[str, TermLayout],
+    env: ManagerEnv,
+    noting: Callable[[str], AbstractContextManager[None]],
+    before: Processing | None = None,
+  ) -> None:
     self.num_envs, self.device = env.num_envs, env.device
     self._env, self._slots = env, slots
     self._options = self._read_options()
@@ -77,48 +81,35 @@ class Processing(Stateful):
     counts = torch.zeros(width, dtype=torch.int64, device=self.device) if before is None else before.nonfinite
     self.nonfinite = self.state_of(counts, shared=True)
     """NaN or infinite entries per column since `clear_log`, int64 (W,)."""
-    lo, hi = torch.full((1, width), -math.inf), torch.full((1, width), math.inf)
-    scale = torch.ones(1, width)
-    checked = torch.zeros(1, width, dtype=torch.bool)
+    lo, hi, scale, checked = (torch.full((1, width), neutral) for neutral in (-torch.inf, torch.inf, 1.0, True))
     noises: list[tuple[slice, NoiseCfg]] = []
     self._models: StatefulDict[NoiseModel] = StatefulDict()
-    problems: list[str] = []
+    earlier = {} if before is None else before._models
     for path, slot in slots.items():
-      cfg, columns = slot.cfg, slot.frame
-      try:
-        self._add_noise(slot, noises, before)
-      except (TypeError, ValueError) as error:
-        problems.append(f"term '{path}': noise: {error}")
-      if wrong := _number_problem(slot):
-        problems.append(f"term '{path}': {wrong}")
-        continue
-      if cfg.clip is not None:
-        lo[0, columns], hi[0, columns] = cfg.clip
-      if cfg.scale is not None:
-        scale[0, columns] = torch.as_tensor(cfg.scale, dtype=torch.float32).cpu().flatten()
-      checked[0, columns] = slot.group_cfg.nan_policy != "disabled"
-    if problems:
-      raise ConfigError(*problems)
+      cfg, noise = slot.cfg, slot.noise
+      with noting(path), placed("while making its noise"):
+        if isinstance(noise, NoiseModelCfg):
+          model = earlier.get(path)
+          if model is None or model.cfg is not noise:
+            model = noise.build(slot.frame_shape, env)
+          self._models[path] = model
+        elif noise is not None:
+          # The noise of all terms is made together; here it is checked.
+          FusedNoise([(slot.frame, noise)], env)
+          noises.append((slot.frame, noise))
+      with noting(path):
+        check_fields(cfg, type(cfg).__name__)
+        if cfg.clip is not None:
+          lo[0, slot.frame], hi[0, slot.frame] = cfg.clip
+        scale[0, slot.frame] = per_component(1.0 if cfg.scale is None else cfg.scale, slot.width, "scale")
+      checked[0, slot.frame] = slot.group_cfg.nan_policy != "disabled"
     self._strict = [slot for slot in slots.values() if slot.group_cfg.nan_policy == "error"]
     self._noise = FusedNoise(noises, env) if noises else None
-    clips = bool(torch.isfinite(lo).any() or torch.isfinite(hi).any())
+    # Neutral options need no operation.
+    clips = any(slot.cfg.clip is not None for slot in slots.values())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
     self._checked = None if checked.all() else checked.to(self.device)
-
-  def _add_noise(self, slot: TermLayout, noises: list[tuple[slice, NoiseCfg]], before: Processing | None) -> None:
-    noise = slot.noise
-    if noise is None:
-      return
-    if not isinstance(noise, NoiseModelCfg):
-      noises.append((slot.frame, noise))
-      # The noise of all terms is made together; here it is checked.
-      FusedNoise(noises[-1:], self._env)
-      return
-    model = before._models.get(slot.path) if before is not None else None
-    self._models[slot.path] = (
-      model if model is not None and model.cfg is noise else noise.build(slot.frame_shape, self._env)
-    )
 
   def is_current(self) -> bool:
     """Return True if no option was replaced."""
@@ -151,10 +142,9 @@ class Processing(Stateful):
         lambda: self._raise_nonfinite(frame, advance), name="observation check (nan_policy='error')"
       )
     torch.nan_to_num(frame, nan=0.0, posinf=0.0, neginf=0.0, out=clean)
-    if self._checked is not None:
-      torch.where(self._checked, clean, frame, out=clean)
     bad = frame != clean
     if self._checked is not None:
+      torch.where(self._checked, clean, frame, out=clean)
       bad &= self._checked
     if advance is not None:
       bad &= advance[:, None]
@@ -171,14 +161,3 @@ class Processing(Stateful):
         raise DivergedError(
           f"ObservationManager: term '{slot.path}' is NaN or infinite in {len(worlds)} worlds: {listed}."
         )
-
-
-def _number_problem(slot: TermLayout) -> str:
-  """Return the reason why clip or scale do not fit a term; empty if they fit."""
-  scale = slot.cfg.scale
-  if wrong := field_problem(slot.cfg.clip, Bounds | None):
-    return f"clip {wrong}"
-  factors = torch.as_tensor(1.0 if scale is None else scale, dtype=torch.float32).flatten()
-  if factors.numel() not in (1, slot.width):
-    return f"{factors.numel()} scales for {slot.width} components."
-  return "" if factors.isfinite().all() else f"scale must be finite, got {scale}."
