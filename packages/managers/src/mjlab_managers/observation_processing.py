@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from mjlab_core import DivergedError, Stateful, StatefulDict, check_fields
+from mjlab_core import Bounds, DivergedError, Stateful, StatefulDict, check_fields
 
 from mjlab_managers.binding import Term, placed
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModel, NoiseModelCfg, per_component
+from mjlab_managers.noise import FusedNoise, NoiseCfg, NoiseModel, NoiseModelCfg, PerDim, per_component
 from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
 
 
@@ -48,13 +48,21 @@ class TermLayout:
     return self.frame.stop - self.frame.start
 
   @property
+  def clip(self) -> Bounds | None:
+    return self.cfg.clip
+
+  @property
+  def scale(self) -> PerDim | None:
+    return self.cfg.scale
+
+  @property
   def noise(self) -> Any:
     """Noise of the term, or None if its group is not corrupted."""
     return self.cfg.noise if self.group_cfg.corrupt else None
 
   def options(self) -> tuple[Any, ...]:
     """Return the live options. A replaced option has another identity."""
-    return (self.cfg.noise, self.cfg.clip, self.cfg.scale, self.group_cfg.corrupt, self.group_cfg.nan_policy)
+    return (self.cfg.noise, self.clip, self.scale, self.group_cfg.corrupt, self.group_cfg.nan_policy)
 
 
 class Processing(Stateful):
@@ -86,7 +94,7 @@ class Processing(Stateful):
     self._models: StatefulDict[NoiseModel] = StatefulDict()
     earlier = {} if before is None else before._models
     for path, slot in slots.items():
-      cfg, noise = slot.cfg, slot.noise
+      noise = slot.noise
       with noting(path), placed("while making its noise"):
         if isinstance(noise, NoiseModelCfg):
           model = earlier.get(path)
@@ -98,15 +106,15 @@ class Processing(Stateful):
           FusedNoise([(slot.frame, noise)], env)
           noises.append((slot.frame, noise))
       with noting(path):
-        check_fields(cfg, type(cfg).__name__)
-        if cfg.clip is not None:
-          lo[0, slot.frame], hi[0, slot.frame] = cfg.clip
-        scale[0, slot.frame] = per_component(1.0 if cfg.scale is None else cfg.scale, slot.width, "scale")
+        check_fields(slot.cfg, type(slot.cfg).__name__)
+        if slot.clip is not None:
+          lo[0, slot.frame], hi[0, slot.frame] = slot.clip
+        scale[0, slot.frame] = per_component(1.0 if slot.scale is None else slot.scale, slot.width, "scale")
       checked[0, slot.frame] = slot.group_cfg.nan_policy != "disabled"
     self._strict = [slot for slot in slots.values() if slot.group_cfg.nan_policy == "error"]
     self._noise = FusedNoise(noises, env) if noises else None
     # Neutral options need no operation.
-    clips = any(slot.cfg.clip is not None for slot in slots.values())
+    clips = any(slot.clip is not None for slot in slots.values())
     self._lo, self._hi = (lo.to(self.device), hi.to(self.device)) if clips else (None, None)
     self._scale = scale.to(self.device) if (scale != 1.0).any() else None
     self._checked = None if checked.all() else checked.to(self.device)

@@ -47,10 +47,10 @@ def _observation_differences(metadata: Mapping[str, str], layouts: Sequence[Any]
   flattened = [len(item.shape) == len(item.frame_shape) if item.history_length > 1 else None for item in layouts]
   lengths = [max(layout.history_length, 1) for layout in layouts]
   for key, ours, absent in (
-    ("scale", [1.0 if layout.cfg.scale is None else layout.cfg.scale for layout in layouts], [1.0]),
+    ("scale", [1.0 if layout.scale is None else layout.scale for layout in layouts], [1.0]),
     ("history_length", lengths, [1.0]),
     ("flatten_history_dim", flattened, [1.0]),
-    ("clip", [layout.cfg.clip or _UNCLIPPED for layout in layouts], _UNCLIPPED),
+    ("clip", [layout.clip or _UNCLIPPED for layout in layouts], _UNCLIPPED),
   ):
     yield from _number_differences(metadata, f"observation_terms_{key}", names, ours, absent)
 

@@ -94,7 +94,8 @@ class PolicyGraph(nn.Module):
     self._needs_start = any(name.startswith(("memory/history/", "memory/target/")) for name in self.memories)
 
   def _term(self, env: Any, group: str, layout: Any) -> GraphTerm:
-    source, cfg = env.observation_manager.source(group, layout.name), layout.cfg
+    manager = env.observation_manager
+    source, cfg = manager.source(group, layout.name), manager.get_term_cfg(group, layout.name)
     for reading in source.readings:
       if f"memory/{reading.name}" == LAST_ACTION:
         self.memories[LAST_ACTION] = (1, env.action_manager.total_action_dim)
@@ -106,8 +107,8 @@ class PolicyGraph(nn.Module):
       columns=(layout.columns.start, layout.columns.stop) if len(layout.shape) == 1 else (0, 0),
       shape=tuple(layout.shape),
       sources=tuple(reading.name for reading in source.readings),
-      scale=cfg.scale,
-      clip=cfg.clip,
+      scale=layout.scale,
+      clip=layout.clip,
       history_length=layout.history_length,
       delay_range=(cfg.delay_min_lag, cfg.delay_max_lag),
     )
