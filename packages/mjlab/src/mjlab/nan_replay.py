@@ -40,7 +40,7 @@ class NanReplay(Replay):
 
 def _states(world: DivergedWorld, steps: int, in_mujoco_c: bool) -> dict[str, np.ndarray]:
   """Return the fields of MjData that a dump has of one environment, (steps, ...)."""
-  fields = {name: np.concatenate((values, world.result[name][None])) for name, values in world.states.items()}
+  fields = world.states.copy()
   if in_mujoco_c:
     fields["qpos"] = np.concatenate((fields["qpos"][:1], world.replay().qpos))
   missing = steps - len(fields["time"])

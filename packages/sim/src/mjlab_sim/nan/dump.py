@@ -4,12 +4,12 @@ import contextlib
 import copy
 import itertools
 import json
-import math
 import os
 import zipfile
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ from mjlab_core import AtomicWrite, FileError, reading
 
 from mjlab_sim.fields import owner_of, put
 
-FORMAT = "mjlab NaN dump 1"
+FORMAT = "mjlab NaN dump 2"
 
 # State that a physics step computes; the rest is only ever written from outside.
 _INTEGRATED = ("qpos", "qvel", "act", "qacc_warmstart", "time")
@@ -42,65 +42,57 @@ class DivergedWorld:
 
   Args:
     dump: The file it is from.
-    row: Which of the file's worlds.
+    row: Row of the world in the file.
   """
 
   def __init__(self, dump: "NanDump", row: int) -> None:
     self._dump = dump
-    self.index = int(dump.contents["worlds"][row, 0])
-    """Number of the world."""
-    self.env_step = int(dump.contents["worlds"][row, 1])
-    """Environment steps the simulation had done, the one in which it diverged included."""
-    decimation = dump.decimation
-    fields = dump.split(dump.contents["states"][row])
-    time = fields["time"].reshape(-1, decimation)[:, 0]
+    self.index, self.env_step = (int(number) for number in dump.contents["worlds"][row])
+    """Number of the world, and environment steps of the simulation, including the one in which it diverged."""
+    fields = dump.fields("state", row)
+    time = fields["time"][: -1 : dump.decimation]
     # Steps before the begin of the run have no state. Steps before a reset have a later time.
     begins = np.flatnonzero(np.diff(time) <= 0) + 1
-    first = max(begins.max(initial=0), len(time) - self.env_step) * decimation
+    first = max(begins.max(initial=0), len(time) - self.env_step) * dump.decimation
     self.states = {name: values[first:] for name, values in fields.items()}
-    """Fields of MjData before each physics step, (steps, ...)."""
-    last = dump.contents["last"][row]
-    self.result = dump.split(last) | {"qacc": last[-dump.model.nv :]}
-    """Fields of MjData after the last physics step."""
-    self.model_fields = {
-      name.removeprefix("model/"): values[row] for name, values in dump.contents.items() if name.startswith("model/")
-    }
+    """Fields of MjData before each physics step and after the last, (num_steps + 1, ...)."""
+    self.qacc: np.ndarray = dump.contents["qacc"][row]
+    """Acceleration of the last physics step, (nv,)."""
+    self.model_fields = dump.fields("model", row)
     """Model fields that were expanded, with the values of this world."""
 
   @property
   def num_steps(self) -> int:
     """Physics steps stored."""
-    return len(self.states["time"])
+    return len(self.states["time"]) - 1
 
   def describe_first(self) -> str:
     """Return the first number that was not finite or beyond 1e10, in a sentence.
 
     Controls and forces come before the state that they act on.
     """
-    names = sorted(self.result, key=lambda name: (name in _INTEGRATED, name == "qacc"))
-    moments = [{name: values[step] for name, values in self.states.items()} for step in range(self.num_steps)]
-    found = (
-      (step, name, int(index))
-      for step, moment in enumerate([*moments, self.result])
-      for name in names
-      if name in moment
-      for index in np.flatnonzero(~(np.abs(moment[name]) <= _BOUND))
-    )
-    step, name, index = next(found, (None, "", 0))
-    if step is None:
-      return "no stored number is beyond 1e10"
-    value = [*moments, self.result][step][name].flat[index]
-    said = f"{name} of {_element(self._dump.model, name, index)} was {value:.3g} {self.when(step)}"
+    last = self.num_steps
+    for step in range(last + 1):
+      numbers = {name: values[step] for name, values in self.states.items()}
+      if step == last:
+        numbers["qacc"] = self.qacc
+      for name in sorted(numbers, key=lambda name: name in _INTEGRATED):
+        for index in np.flatnonzero(~(np.abs(numbers[name]) <= _BOUND)):
+          element, value = _element(self._dump.model, name, int(index)), numbers[name].flat[index]
+          return f"{name} of {element} was {value:.3g} {self.when(step)}{self._cause(name, step)}"
+    return "no stored number is beyond 1e10"
+
+  def _cause(self, name: str, step: int) -> str:
     if step == self.num_steps:
-      return said
+      return ""
     if name not in _INTEGRATED:
-      return f"{said}: it was written so"
+      return ": it was written so"
     if step % self._dump.decimation == 0:
-      return f"{said}: an event, a reset or a command wrote it so, or the step before left it so"
-    return said
+      return ": an event, a reset or a command wrote it so, or the step before left it so"
+    return ""
 
   def when(self, step: int) -> str:
-    """Return in words when a stored step was; the number of stored steps stands for the result of the last."""
+    """Return the time of a stored state in words."""
     decimation = self._dump.decimation
     if step == self.num_steps:
       return f"after physics step {decimation} of {decimation} of environment step {self.env_step}"
@@ -109,7 +101,7 @@ class DivergedWorld:
 
   def replay(self) -> Replay:
     """Run the stored steps again in MuJoCo C, from the first stored state of each environment step that is finite."""
-    model = self._dump.make_model(self)
+    model = self._make_model()
     data = mujoco.MjData(model)
     qpos, error, diverged_at = [], 0.0, None
     for step in range(self.num_steps):
@@ -124,13 +116,26 @@ class DivergedWorld:
         mujoco.set_mju_user_warning(lambda _: None)
         mujoco.mj_step(model, data)
       is_good = (np.abs(np.concatenate((data.qpos, data.qvel, data.qacc))) <= _BOUND).all()
-      after = self.states["qpos"][step + 1] if step + 1 < self.num_steps else self.result["qpos"]
+      after = self.states["qpos"][step + 1]
       if is_good and np.isfinite(after).all():
         error = max(error, float(np.abs(data.qpos - after).max()))
       if diverged_at is None and not is_good:
         diverged_at = step
       qpos.append(data.qpos.copy())
     return Replay(diverged_at=diverged_at, qpos=np.array(qpos), error=error)
+
+  def _make_model(self) -> mujoco.MjModel:
+    """Return the model with the world's values, and without MuJoCo C's silent restart of a world that diverged."""
+    model = copy.copy(self._dump.model)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
+    for name, value in self.model_fields.items():
+      put(*owner_of(model, name), value)
+    recomputed = copy.copy(model)
+    mujoco.mj_setConst(recomputed, mujoco.MjData(recomputed))
+    # Engines do not show this derived constant per world. It follows if the others were recomputed.
+    if np.allclose(recomputed.dof_invweight0, model.dof_invweight0, rtol=1e-4):
+      model.dof_M0[:] = recomputed.dof_M0
+    return model
 
 
 class NanDump:
@@ -147,7 +152,6 @@ class NanDump:
     """Engine that diverged."""
     self.decimation: int = about["decimation"]
     """Physics steps per environment step."""
-    self._layout: dict[str, tuple[int, ...]] = {name: tuple(shape) for name, shape in about["layout"].items()}
     self.worlds = [DivergedWorld(self, row) for row in range(len(contents["worlds"]))]
 
   @classmethod
@@ -174,27 +178,10 @@ class NanDump:
     """The model that all worlds began with."""
     return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": self.contents["mjb"].tobytes()})
 
-  def make_model(self, world: DivergedWorld) -> mujoco.MjModel:
-    """Return the model with a world's own values, and without MuJoCo C's silent restart of what diverged."""
-    model = copy.copy(self.model)
-    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET.value
-    for name, value in world.model_fields.items():
-      put(*owner_of(model, name), value)
-    recomputed = copy.copy(model)
-    mujoco.mj_setConst(recomputed, mujoco.MjData(recomputed))
-    # Engines do not show this derived constant per world. It follows if the others were recomputed.
-    if np.allclose(recomputed.dof_invweight0, model.dof_invweight0, rtol=1e-4):
-      model.dof_M0[:] = recomputed.dof_M0
-    return model
-
-  def split(self, rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return packed states, (..., width), as fields; numbers behind them are left out."""
-    fields, start = {}, 0
-    for name, shape in self._layout.items():
-      end = start + math.prod(shape)
-      fields[name] = rows[..., start:end].reshape((*rows.shape[:-1], *shape))
-      start = end
-    return fields
+  def fields(self, kind: Literal["state", "model"], row: int) -> dict[str, np.ndarray]:
+    """Return the stored fields of MjData or MjModel of one world, by name."""
+    stored = ((name.partition("/"), values) for name, values in self.contents.items())
+    return {name: values[row] for (found, _, name), values in stored if found == kind}
 
 
 def write_dump(folder: Path, contents: dict[str, np.ndarray]) -> Path:

@@ -2,7 +2,7 @@
 
 import copy
 import json
-from collections import deque
+import math
 from pathlib import Path
 
 import mujoco
@@ -25,55 +25,51 @@ class NanGuard:
   Args:
     sim: The worlds.
     decimation: Physics steps per environment step.
-    cfg: How much is kept.
+    cfg: Sizes of the memory and of files.
   """
 
   def __init__(self, sim: Simulation, decimation: int, cfg: NanGuardCfg) -> None:
     self._sim = sim
     self._cfg = copy.copy(cfg)
-    n, dtype, slots = sim.num_envs, sim.dtype, cfg.max_envs_to_dump
+    n, dtype = sim.num_envs, sim.dtype
     fields = sim._fresh.state()
-    self._layout = {name: tuple(field.shape[1:]) for name, field in fields.items()}
+    self._shapes = {name: tuple(field.shape[1:]) for name, field in fields.items()}
     # State stays in its memory, so that these views stay good.
     self._fields = [field.view(n, -1) for field in fields.values()]
     width = sum(field.shape[1] for field in self._fields)
     with sim.device:
       self._step = torch.zeros(decimation, n, width, dtype=dtype)
       self._ring = torch.zeros(cfg.buffer_size, decimation, n, width, dtype=dtype)
-      # A world that is not kept is written to the last slot, which is not read.
-      self._kept = torch.zeros(slots + 1, decimation * cfg.buffer_size, width, dtype=dtype)
-      self._last = torch.zeros(slots + 1, width + sim.mj_model.nv, dtype=dtype)
-      self._tags = torch.zeros(slots + 1, 2, dtype=torch.int64)
       self._num_steps = torch.zeros(1, dtype=torch.int64)
       self._num_kept = torch.zeros((), dtype=torch.int64)
       self._diverged = torch.zeros(n, dtype=torch.bool)
       # Worlds that diverged since the last report, however often.
       self._since_report = torch.zeros(n, dtype=torch.bool)
       self._order = torch.arange(cfg.buffer_size)
-      self._ranks = torch.arange(min(slots, n))
+      self._ranks = torch.arange(min(cfg.max_envs_to_dump, n))
       # Among many worlds the first by number are found.
       self._priority = torch.arange(n, 0, -1)
-    # On a CPU the host knows the slot that is due. NumPy writes straight to it, and starts faster than torch.
+    self._kept: dict[str, torch.Tensor] = {}
+    """Arrays of the next file, (max_envs_to_dump + 1, ...). Worlds that are not kept are written to the last row."""
     self._on_host = sim.device.type == "cpu"
     if self._on_host:
+      # NumPy starts faster than torch.
       self._host_fields = [field.numpy() for field in self._fields]
-      # The slot that is due is the first.
-      self._host_slots = deque(list(slot.numpy()) for slot in self._ring)
-    self._model: dict[str, torch.Tensor] = {}
+      self._host_ring, self._host_num_steps = self._ring.numpy(), self._num_steps.numpy()
     self._num_reports = 0
 
   @property
   def num_bytes(self) -> int:
     """Memory on the device [B]."""
-    return sum(value.nbytes for value in vars(self).values() if isinstance(value, torch.Tensor))
+    values = [*vars(self).values(), *self._kept.values()]
+    return sum(value.nbytes for value in values if isinstance(value, torch.Tensor))
 
   def record(self, substep: int) -> None:
     """Store the state before physics step `substep` of an environment step; the last one completes the step."""
     is_last = substep == len(self._step) - 1
     if self._on_host:
-      np.concatenate(self._host_fields, axis=1, out=self._host_slots[0][substep])
-      if is_last:
-        self._host_slots.rotate(-1)
+      slot = self._host_num_steps[0] % len(self._host_ring)
+      np.concatenate(self._host_fields, axis=1, out=self._host_ring[slot, substep])
     else:
       self._pack(self._step[substep])
       if is_last:
@@ -95,20 +91,23 @@ class NanGuard:
     self._diverged.copy_(diverged)
     self._since_report |= fresh
     found, worlds = torch.topk(fresh * self._priority, len(self._ranks))
-    slots = torch.where(found > 0, self._num_kept + self._ranks, len(self._kept) - 1).clamp_(max=len(self._kept) - 1)
-    newest_last = (self._num_steps + self._order) % self._cfg.buffer_size
-    history = self._ring[:, :, worlds][newest_last]
-    self._kept.index_copy_(0, slots, history.flatten(0, 1).transpose(0, 1))
-    now = self._pack()
-    self._last.index_copy_(0, slots, torch.cat([now[worlds], self._sim.data.qacc[worlds]], dim=1))
-    self._tags.index_copy_(0, slots, torch.stack([worlds, self._num_steps.expand_as(worlds)], dim=1))
+    unused = self._cfg.max_envs_to_dump
+    rows = torch.where(found > 0, self._num_kept + self._ranks, unused).clamp_(max=unused)
+    newest_last = (self._num_steps + self._order) % len(self._ring)
+    history = self._ring[:, :, worlds][newest_last].flatten(0, 1)
+    values = {
+      "worlds": torch.stack([worlds, self._num_steps.expand_as(worlds)], dim=1),
+      "states": torch.cat([history, self._pack()[None, worlds]]).transpose(0, 1),
+      "qacc": self._sim.data.qacc[worlds],
+    }
     for name in self._sim.expanded_fields:
-      field = plain(self._sim._engine.model_field(name))
-      if name not in self._model:
+      values[f"model/{name}"] = plain(self._sim._engine.model_field(name))[worlds]
+    for name, value in values.items():
+      if name not in self._kept:
         # A field may be expanded at any time, and the first step after that may run in inference mode.
         with torch.inference_mode(False):
-          self._model[name] = torch.zeros(len(self._kept), *field.shape[1:], dtype=field.dtype, device=field.device)
-      self._model[name].index_copy_(0, slots, field[worlds])
+          self._kept[name] = torch.zeros(unused + 1, *value.shape[1:], dtype=value.dtype, device=value.device)
+      self._kept[name].index_copy_(0, rows, value)
     self._num_kept += fresh.sum()
 
   def report(self, run_dir: Path | None = None) -> list[str]:
@@ -127,7 +126,7 @@ class NanGuard:
     if not total or self._num_reports == self._cfg.max_dumps:
       return []
     self._num_reports += 1
-    contents = self._contents(min(total, len(self._kept) - 1))
+    contents = self._contents(min(total, self._cfg.max_envs_to_dump))
     worlds = NanDump(contents).worlds
     lines = [f"world {world.index} diverged: {world.describe_first()}" for world in worlds]
     if more := num_worlds - len({world.index for world in worlds}):
@@ -156,13 +155,10 @@ class NanGuard:
       "mujoco": mujoco.__version__,
       "engine": self._sim.engine,
       "decimation": len(self._step),
-      "layout": self._layout,
     }
-    return {
-      "about": np.array(json.dumps(about)),
-      "mjb": model,
-      "worlds": self._tags[:count].cpu().numpy(),
-      "states": self._kept[:count].cpu().numpy(),
-      "last": self._last[:count].cpu().numpy(),
-      **{f"model/{name}": field[:count].cpu().numpy() for name, field in self._model.items()},
-    }
+    kept = {name: values[:count].cpu() for name, values in self._kept.items()}
+    states = kept.pop("states").split([math.prod(shape) for shape in self._shapes.values()], dim=-1)
+    for (name, shape), values in zip(self._shapes.items(), states, strict=True):
+      kept[f"state/{name}"] = values.unflatten(-1, shape) if shape else values.squeeze(-1)
+    contents = {name: values.numpy() for name, values in kept.items()}
+    return {"about": np.array(json.dumps(about)), "mjb": model, **contents}
