@@ -30,6 +30,6 @@ def test_every_search_finds_the_same_contacts() -> None:
 
 def test_a_search_that_does_not_exist_is_refused() -> None:
   with pytest.raises(ConfigError, match="broadphase 'sap' does not exist"):
-    SimulationCfg(broadphase="sap").validate("native")  # type: ignore
+    SimulationCfg(broadphase="sap").validate()  # type: ignore
   with pytest.raises(ConfigError, match="broadphase_filter 'obbb' does not exist"):
-    SimulationCfg(broadphase_filter=("obbb",)).validate("native")  # type: ignore
+    SimulationCfg(broadphase_filter=("obbb",)).validate()  # type: ignore

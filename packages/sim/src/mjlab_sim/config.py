@@ -25,19 +25,6 @@ _CHOICES: dict[str, dict[str, int]] = {
 }
 _FLAGS = ("disableflags", "enableflags")
 
-RK4_REFUSED = (
-  "a step is split around the control, which RK4 does not allow on MuJoCo Warp; choose 'implicitfast', 'implicit' or"
-  " 'euler'"
-)
-_WARP_REFUSES = {
-  ("solver", "pgs"): "MuJoCo Warp has Newton and CG only; choose solver 'newton' or 'cg'",
-  ("integrator", "rk4"): RK4_REFUSED,
-  **{("disableflags", flag): "MuJoCo Warp does not have it" for flag in ("autoreset", "midphase")},
-  **{
-    ("enableflags", flag): "MuJoCo Warp does not have it" for flag in ("diagexact", "fwdinv", "override", "speculative")
-  },
-}
-
 
 @dataclass(kw_only=True)
 class NanGuardCfg(Config):
@@ -118,19 +105,16 @@ class SimulationCfg(Config):
       return self.engine
     return "native" if device_type == "cpu" else "warp"
 
-  def validate(self, engine: EngineName) -> None:
-    """Refuse what is misspelt, out of range, or beyond `engine`, all problems in one message.
+  def validate(self) -> None:
+    """Refuse options that are misspelt or out of range, all problems in one message.
 
     Raises:
-      ConfigError: naming every option that cannot be served and what would work.
+      ConfigError: naming every such option with its limits.
     """
     problems = [*field_problems(self), *(f"nan_guard.{problem}" for problem in field_problems(self.nan_guard))]
     for option in _FLAGS:
       known = _CHOICES[option]
       problems += [unknown(option, flag, known) for flag in getattr(self, option) if flag not in known]
-    if engine == "warp":
-      refused = [given for given in _WARP_REFUSES if given[1] in (getattr(self, given[0]) or ())]
-      problems += [f"{option} '{value}': {_WARP_REFUSES[option, value]}" for option, value in refused]
     if problems:
       raise ConfigError(*(f"SimulationCfg: {problem}" for problem in problems))
 

@@ -81,26 +81,24 @@ class Overflow:
 
   def note_growth(self, sizes: Mapping[str, int]) -> None:
     """Note the present sizes; reads the device."""
-    seen, changes, lost = self._seen.numpy(), [], 0
-    for name in self._growing:
-      if sizes[name] > self._fits[name]:
-        changes.append(f"{name} from {self._fits[name]} to {sizes[name]}")
-        lost = max(lost, _count(seen, _BUFFERS[name][0]))
-        seen &= ~int(_BUFFERS[name][0])
+    seen, grew = self._seen.numpy(), [name for name in self._growing if sizes[name] > self._fits[name]]
+    changes = ", ".join(f"{name} from {self._fits[name]} to {sizes[name]}" for name in grew)
+    bits = sum(int(_BUFFERS[name][0]) for name in grew)
+    lost = _count(seen, bits)
     # Contacts that did not fit since the last physics step are computed again before they are used.
     self._d.overflow.zero_()
-    self._seen.assign(seen)
+    self._seen.assign(seen & ~bits)
     self._fits |= sizes
     self._advised |= sizes
     settings = " ".join(f"--env.sim.{name} {sizes[name]}" for name in self._growing)
     dropped = f", after {lost} of {self._d.nworld} worlds had lost contacts" if lost else ""
-    self._news.append(f"buffers grew: {', '.join(changes)}{dropped}. A repeat to the last bit needs {settings}.")
+    self._news.append(f"buffers grew: {changes}{dropped}. A repeat to the last bit needs {settings}.")
 
   def _demand(self) -> dict[str, int]:
     """Return the demand of this moment; on a GPU that of the steps whose high-water marks have arrived."""
     d = self._d
     if not d.qpos.device.is_cuda:
-      return self._per_setting(*(int(count.numpy().max()) for count in (d.nefc, d.nacon, d.ncollision)))
+      return self._per_setting(*(max(count.list()) for count in (d.nefc, d.nacon, d.ncollision)))
     if self._arrival is None:
       self._arrival = torch.cuda.Event()
     elif not self._arrival.query():
@@ -120,14 +118,13 @@ class Overflow:
   def report(self) -> list[str]:
     """Return the lines that are new since the last call. Reads the device."""
     d, fits, seen = self._d, self._fits, self._seen.numpy()
-    counted = self._per_setting(*(int(count) for count in self._most.numpy()))
+    counted = self._per_setting(*self._most.list())
     wanted, needs = {}, []
     for name, (bits, unit) in _BUFFERS.items():
       if count := _count(seen, bits):
         # The buffers of convex collision, of sparse matrices and of sensors overflow without a count.
         wanted[name] = max(counted[name], fits[name] + 1)
-        most = f"up to {counted[name]}" if counted[name] > fits[name] else f"more than {fits[name]}"
-        needs.append(f"{count} of {d.nworld} worlds needed {most} {unit} ({name} is {fits[name]})")
+        needs.append(f"{count} of {d.nworld} worlds needed at least {wanted[name]} {unit} ({name} is {fits[name]})")
     if "nconmax" in wanted and 2 * counted["njmax"] > fits["njmax"]:
       # Contacts were dropped before their rows were counted.
       wanted.setdefault("njmax", counted["njmax"])
