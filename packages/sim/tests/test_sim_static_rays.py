@@ -157,7 +157,7 @@ def test_ground_that_is_changed_right_after_its_memory_was_replaced_is_seen_as_i
 def test_ground_is_merged_once_for_all_casters_that_see_the_same() -> None:
   sim = build(rough_ground(), "native")
   casters: list[Any] = [sim.make_ray_caster(count, geomid=False) for count in (1, 2)]
-  first, second = (caster._rays._ground for caster in casters)
+  first, second = (caster._cast.__self__._ground for caster in casters)
   assert first is second is not None
   assert first.model.nmeshface > 36 * 12
   assert first.model.ngeom == 1 + 4  # Fields, floor and pole stay as they are.

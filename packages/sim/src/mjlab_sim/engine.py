@@ -1,13 +1,13 @@
 """Interface of a physics engine. Nothing above this seam knows which engine runs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import torch
 from mjlab_core import Contacts, MjlabError
 
-from mjlab_sim.rays import EngineRays, RayTargets
-from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.rays import Rays, RayTargets
+from mjlab_sim.rendering import Draw, View
 from mjlab_sim.tensors import TorchArray
 
 
@@ -49,12 +49,12 @@ class Engine(Protocol):
     """Recompute the derived model fields of masked worlds (`mj_setConst`)."""
     ...
 
-  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
-    """Return rays in fixed memory that see `targets` up to `max_distance` [m]."""
+  def ray_caster(self, targets: RayTargets, rays: Rays) -> Callable[[bool], None]:
+    """Return a function that casts `rays`. Its argument is True if all fixed geoms are in their compiled places."""
     ...
 
-  def renderer(self, view: View) -> EngineImages:
-    """Return fixed images of a view."""
+  def renderer(self, view: View, images: Mapping[str, torch.Tensor]) -> Draw:
+    """Return a function that draws a view into `images`."""
     ...
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:

@@ -1,4 +1,4 @@
-"""Rays: their targets, their hits, and ground as triangles.
+"""Rays: their targets, their memory, and ground as triangles.
 
 MuJoCo casts a ray against one geom after another, and a terrain has hundreds. Those that never move and have flat faces
 are turned into triangles once, when a caster is made, and an engine then looks them up in a tree.
@@ -6,7 +6,7 @@ are turned into triangles once, when a caster is made, and an engine then looks 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any
 
 import mujoco
 import numpy as np
@@ -38,18 +38,24 @@ class RayHits:
   """Surface normal at the hit, world frame; zero where nothing was hit, (num_envs, num_rays, 3)."""
 
 
-class EngineRays(Protocol):
-  """Rays of one caster in an engine, in fixed memory."""
+class Rays:
+  """Rays of one caster and their hits, in fixed memory."""
 
-  origins: torch.Tensor
-  """Starts of the rays of the next cast, world frame, (num_envs, num_rays, 3) [m]."""
-  directions: torch.Tensor
-  """Directions of the rays of the next cast, world frame, (num_envs, num_rays, 3)."""
-  hits: RayHits
+  def __init__(self, shape: tuple[int, int], dtype: torch.dtype, device: torch.device, *, geomid: bool) -> None:
+    self.origins, self.directions, normal = (torch.zeros((*shape, 3), dtype=dtype, device=device) for _ in range(3))
+    self.hits = RayHits(
+      distance=torch.full(shape, -1.0, dtype=dtype, device=device),
+      geomid=torch.full(shape, -1, dtype=torch.int32, device=device) if geomid else None,
+      normal=normal,
+    )
 
-  def cast(self, is_in_place: bool) -> None:
-    """Fill `hits`; `is_in_place` is True if the geoms that never move are in their compiled places."""
-    ...
+  def drop_far_hits(self, max_distance: float) -> None:
+    """Make misses of the hits beyond a distance [m]."""
+    hits, is_far = self.hits, self.hits.distance > max_distance
+    hits.distance.masked_fill_(is_far, -1.0)
+    hits.normal.masked_fill_(is_far[..., None], 0.0)
+    if hits.geomid is not None:
+      hits.geomid.masked_fill_(is_far, -1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,6 +74,8 @@ class RayTargets:
   """Geoms that never move and that all rays see."""
   others: Geoms
   """All other geoms that some ray sees."""
+  max_distance: float
+  """How far rays see [m]."""
 
 
 def as_groups(geomgroup: Sequence[bool] | None) -> GeomGroups:
@@ -83,6 +91,7 @@ def find_targets(
   geomgroup: Sequence[bool] | None,
   bodyexclude: int | Sequence[int],
   exclude_trees: bool,
+  max_distance: float,
 ) -> RayTargets:
   """Sort the geoms that `mj_ray` would look at under the same filters: it skips those of zero alpha too.
 
@@ -90,6 +99,7 @@ def find_targets(
     MjlabError: a filter that does not fit the model or the rays.
   """
   check_value("num_rays", num_rays, PositiveCount)
+  check_value("max_distance", max_distance, Annotated[float, Limits(gt=0, finite=False)])
   groups = as_groups(geomgroup)
   bodies = tuple(bodyexclude) if isinstance(bodyexclude, Sequence) else (bodyexclude,)
   check_value("bodyexclude", bodies, Annotated[tuple[int, ...], Limits(ge=-1, le=model.nbody - 1)])
@@ -112,6 +122,7 @@ def find_targets(
     exclude=exclude,
     ground=np.flatnonzero(seen & ground).astype(np.int32),
     others=np.flatnonzero(seen & ~ground).astype(np.int32),
+    max_distance=max_distance,
   )
 
 
@@ -177,16 +188,12 @@ def _hfield_surface(model: mujoco.MjModel, hfield: int) -> Mesh:
   if rows < 2 or columns < 2:
     return box, _FACES
   x, y = np.meshgrid(np.linspace(-size[0], size[0], columns), np.linspace(-size[1], size[1], rows))
-  top = np.stack((x, y, heights * size[2]), axis=-1)
-  number = np.arange(rows * columns).reshape(rows, columns)
+  # A rim of points at height 0 below those of the border: the cells between are walls down to the box.
+  z = np.pad(heights * size[2], 1)
+  points = np.stack((np.pad(x, 1, mode="edge"), np.pad(y, 1, mode="edge"), z), axis=-1).reshape(-1, 3)
+  number = np.arange(len(points)).reshape(z.shape)
   low, right, far, left = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+  # Counter-clockwise seen from above.
   surface = np.stack((low, right, far, low, far, left), axis=-1).reshape(-1, 3)
-  # Counter-clockwise seen from above; the walls hang from it down to the box.
-  rim = np.concatenate((number[0], number[1:, -1], number[-1, -2::-1], number[-2:0:-1, 0]))
-  points = top.reshape(-1, 3)
-  foot = points[rim] * (1.0, 1.0, 0.0)
-  below = len(points) + np.arange(len(rim))
-  after, below_after = np.roll(rim, -1), np.roll(below, -1)
-  walls = np.stack((below, below_after, after, below, after, rim), axis=-1).reshape(-1, 3)
-  faces = (surface, walls, _FACES + len(points) + len(foot))
-  return np.concatenate((points, foot, box)), np.concatenate(faces).astype(np.int32)
+  faces = np.concatenate((surface, _FACES + len(points)))
+  return np.concatenate((points, box)), faces.astype(np.int32)

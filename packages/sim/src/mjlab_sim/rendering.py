@@ -10,6 +10,9 @@ from mjlab_core import Count, PositiveCount
 from mjlab_sim.rays import GeomGroups
 
 DataType = Literal["rgb", "depth", "distance", "segmentation"]
+Draw = Callable[[int, torch.Tensor | None], None]
+"""Draws the worlds of a mask, or all for None. Everything derived is current; it is the same as at the last call if the
+version of the simulation, the first argument, is the same."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,11 +48,23 @@ class Images:
   """Number and type (`mjtObj`) of the object that is seen, int32, -1 and -1 for none, (num_envs, 2, height, width)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class EngineImages:
-  """One view in an engine: fixed memory, and the function that draws it."""
+_KINDS: dict[DataType, tuple[int, torch.dtype, int]] = {
+  "rgb": (3, torch.uint8, 0),
+  "depth": (1, torch.float32, -1),
+  "distance": (1, torch.float32, -1),
+  "segmentation": (2, torch.int32, -1),
+}
+"""Channels and type of the images of a kind, and their value before the first drawing."""
 
-  images: Images
-  draw: Callable[[int, torch.Tensor | None], None]
-  """Draws the worlds of a mask, or all for None. Everything derived is current, and is what it was at the last call
-  with the same number, the version of the simulation."""
+
+def blank_images(view: View, num_envs: int, device: torch.device) -> dict[str, torch.Tensor]:
+  """Return memory for the images of a view, (num_envs, channels, height, width); empty for kinds not asked for."""
+  return {
+    kind: torch.full(
+      (num_envs, channels, view.height, view.width) if kind in view.data_types else (0, 0, 0, 0),
+      empty,
+      dtype=dtype,
+      device=device,
+    )
+    for kind, (channels, dtype, empty) in _KINDS.items()
+  }

@@ -5,8 +5,8 @@ import numpy as np
 import torch
 
 from mjlab_sim.freshness import Freshness
-from mjlab_sim.rays import EngineRays, RayHits, fixed_bodies, fixed_geoms
-from mjlab_sim.rendering import EngineImages, Images
+from mjlab_sim.rays import RayHits, Rays, RayTargets, fixed_bodies, fixed_geoms
+from mjlab_sim.rendering import Images, View
 from mjlab_sim.step_graph import Recordings
 from mjlab_sim.tensors import versions
 
@@ -14,8 +14,9 @@ from mjlab_sim.tensors import versions
 class RayCaster:
   """A fixed number of rays in every world; casts inside a recorded step too. Made by `Simulation.make_ray_caster`."""
 
-  def __init__(self, fresh: Freshness, ground: "FixedGeometry", rays: EngineRays) -> None:
-    self._fresh, self._ground, self._rays = fresh, ground, rays
+  def __init__(self, fresh: Freshness, ground: "FixedGeometry", targets: RayTargets, rays: Rays) -> None:
+    self._fresh, self._ground, self._hits = fresh, ground, rays.hits
+    self._cast = fresh.engine.ray_caster(targets, rays)
     self.origins = rays.origins
     """Starts of the rays of the next cast, world frame, (num_envs, num_rays, 3) [m]; write it in place."""
     self.directions = rays.directions
@@ -28,16 +29,17 @@ class RayCaster:
         rays.copy_(given)
     self._fresh.refresh()
     self._fresh.num_sensed += 1
-    self._rays.cast(self._ground.is_in_place())
-    return self._rays.hits
+    self._cast(self._ground.is_in_place())
+    return self._hits
 
 
 class Renderer:
   """One image of every world; draws inside a recorded step too. Made by `Simulation.make_renderer`."""
 
-  def __init__(self, fresh: Freshness, view: EngineImages) -> None:
-    self._fresh, self._view = fresh, view
-    self.images = view.images
+  def __init__(self, fresh: Freshness, view: View, images: dict[str, torch.Tensor]) -> None:
+    self._fresh = fresh
+    self._draw = fresh.engine.renderer(view, images)
+    self.images = Images(**{kind: image for kind, image in images.items() if kind in view.data_types})
     """Images that were drawn last; black, and -1, before that."""
 
   def render(self, mask: torch.Tensor | None = None) -> Images:
@@ -50,7 +52,7 @@ class Renderer:
       self._fresh.check_mask(mask, "render")
     self._fresh.refresh()
     self._fresh.num_sensed += 1
-    self._view.draw(self._fresh.version, mask)
+    self._draw(self._fresh.version, mask)
     return self.images
 
 
@@ -63,18 +65,16 @@ class FixedGeometry:
     recordings: Step graphs, which are recorded again when the geometry moves or returns.
   """
 
-  _GEOM_FIELDS = ("geom_pos", "geom_quat", "geom_size", "geom_dataid")
-  _BODY_FIELDS = ("body_pos", "body_quat")
+  _FIELDS = ("geom_pos", "geom_quat", "geom_size", "geom_dataid", "body_pos", "body_quat")
 
   def __init__(self, model: mujoco.MjModel, fresh: Freshness, recordings: Recordings) -> None:
     self._fresh, self._recordings = fresh, recordings
     self._compiled: dict[str, tuple[torch.Tensor, torch.Tensor]] = {}
-    for names, rows in ((self._GEOM_FIELDS, fixed_geoms(model)), (self._BODY_FIELDS, fixed_bodies(model))):
-      for name in names:
-        now = fresh.engine.model_field(name)
-        index = torch.as_tensor(np.flatnonzero(rows), device=now.device)
-        values = torch.as_tensor(getattr(model, name)[rows], dtype=now.dtype, device=now.device)
-        self._compiled[name] = index, values
+    for name in self._FIELDS:
+      now = fresh.engine.model_field(name)
+      rows = np.flatnonzero(fixed_geoms(model) if name.startswith("geom") else fixed_bodies(model))
+      values = torch.as_tensor(getattr(model, name)[rows], dtype=now.dtype, device=now.device)
+      self._compiled[name] = torch.as_tensor(rows, device=now.device), values
     self._version: int | None = None
     self._is_in_place = True
 

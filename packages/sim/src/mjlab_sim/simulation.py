@@ -11,8 +11,8 @@ from mjlab_core import Contacts, Limits, MjlabError, PositiveCount, check_fields
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.engine import Closed, Engine
 from mjlab_sim.freshness import DataView, Freshness, ModelView
-from mjlab_sim.rays import as_groups, find_targets
-from mjlab_sim.rendering import DataType, View
+from mjlab_sim.rays import Rays, as_groups, find_targets
+from mjlab_sim.rendering import DataType, View, blank_images
 from mjlab_sim.sensing import FixedGeometry, RayCaster, Renderer
 from mjlab_sim.step_graph import Recordings, StepGraph
 from mjlab_sim.world_fields import WorldFields
@@ -46,7 +46,7 @@ class Simulation:
     self.num_envs = num_envs
     self.device = _resolve_device(device)
     self.engine = self.cfg.engine_for(self.device.type)
-    self.cfg.validate(self.engine)
+    self.cfg.validate()
     spec = spec.copy()
     self.cfg.apply(spec)
     self.mj_model: mujoco.MjModel = spec.compile()
@@ -235,11 +235,11 @@ class Simulation:
       max_distance: How far rays see [m].
       geomid: Identify the geom of each hit. On a CPU terrains of many geoms are faster without.
     """
-    check_value("max_distance", max_distance, Annotated[float, Limits(gt=0, finite=False)])
-    targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude, exclude_trees)
+    targets = find_targets(self.mj_model, num_rays, geomgroup, bodyexclude, exclude_trees, max_distance)
+    rays = Rays((self.num_envs, num_rays), self.dtype, self.device, geomid=geomid)
     if self._fixed_geometry is None:
       self._fixed_geometry = FixedGeometry(self.mj_model, self._fresh, self._recordings)
-    return RayCaster(self._fresh, self._fixed_geometry, self._engine.ray_caster(targets, max_distance, geomid))
+    return RayCaster(self._fresh, self._fixed_geometry, targets, rays)
 
   def make_renderer(
     self,
@@ -280,7 +280,7 @@ class Simulation:
     )
     check_fields(view, "renderer")
     check_value("renderer: camera", camera, Annotated[int, Limits(le=self.mj_model.ncam - 1)])
-    renderer = Renderer(self._fresh, self._engine.renderer(view))
+    renderer = Renderer(self._fresh, view, blank_images(view, self.num_envs, self.device))
     self._recordings.invalidate()
     return renderer
 

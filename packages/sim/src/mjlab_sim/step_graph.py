@@ -88,18 +88,16 @@ class StepGraph:
 
   def __call__(self) -> None:
     self._fresh.refresh()
-    if not self.recorded:
+    if self.recorded:
+      self._recordings.prepare()
+      if self._recorder is None and self._calls >= _WARM_UP_CALLS:
+        self._record()
+    if self._recorder is None:
+      # Kernels and libraries load on first use, which a capture does not allow: the first calls are real steps.
+      self._calls += 1
       # `_run` in place: one call less on the path of an action.
       self._fn()
       self._fresh.refresh()
-      return
-    self._recordings.prepare()
-    if self._recorder is None and self._calls >= _WARM_UP_CALLS:
-      self._record()
-    if self._recorder is None:
-      # Kernels and libraries load on first use, which a capture does not allow; these calls are real steps.
-      self._calls += 1
-      self._run()
       return
     self._recordings.is_replaying = True
     try:

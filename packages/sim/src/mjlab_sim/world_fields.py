@@ -78,15 +78,12 @@ class WorldFields:
     )
     as_compiled = {name: self.default(name) for name in self._written_shared() if name not in state["model"]}
     state["shared"] = as_compiled | state["shared"]
-    own = PER_WORLD & {*state["model"], *self.expanded}
-    shared = PER_WORLD & {*state["shared"]} - {*self.expanded}
-    here: dict[str, Mapping[str, torch.Tensor]] = {
-      "data": self._fresh.state(),
-      "model": {name: self._view[name] for name in own},
-      "shared": {name: self._view[name] for name in shared},
-      "default": self._defaults,
-    }
-    for kind, fields in here.items():
+    for kind, fields in (
+      ("data", self._fresh.state()),
+      ("model", {name: self._view[name] for name in PER_WORLD & {*state["model"], *self.expanded}}),
+      ("shared", {name: self._view[name] for name in PER_WORLD & {*state["shared"]} - {*self.expanded}}),
+      ("default", self._defaults),
+    ):
       refuse_state(self._problems(kind, state[kind], fields))
     return state
 
@@ -116,12 +113,8 @@ class WorldFields:
 
   def _written_shared(self) -> list[str]:
     """Return the fields that all worlds share and that are not as compiled; reads the device."""
-    asked_for = self._fresh.model_fields.items()
-    return [
-      name
-      for name, field in asked_for
-      if name not in self.expanded and not torch.equal(plain(field), self.default(name))
-    ]
+    shared = [name for name in self._fresh.model_fields if name not in self.expanded]
+    return [name for name in shared if not torch.equal(plain(self._fresh.model_fields[name]), self.default(name))]
 
   def _values(self, names: Iterable[str]) -> dict[str, torch.Tensor]:
     fields = {name: self._fresh.engine.model_field(name).detach().clone() for name in names}

@@ -3,7 +3,7 @@
 import copy
 import ctypes
 import functools
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -17,8 +17,8 @@ from mjlab_sim.config import SimulationCfg
 from mjlab_sim.fields import KINEMATIC_STATE, STATE, owner_of
 from mjlab_sim.native.contacts import NativeContacts
 from mjlab_sim.native.rays import NativeRayCaster, ground_model
-from mjlab_sim.rays import EngineRays, RayTargets
-from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.rays import Rays, RayTargets
+from mjlab_sim.rendering import Draw, View
 from mjlab_sim.tensors import TorchArray, version_of
 
 if TYPE_CHECKING:
@@ -189,9 +189,9 @@ class NativeEngine:
       if field.rows is None and (rows := self._batch.expanded(name)) is not None:
         field.tensor.numpy()[0] = _shaped(rows, name)[one]
 
-  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
-    ground = None if geomid else self._ground(targets)
-    return NativeRayCaster(self._batch, targets, max_distance, ground, geomid=geomid)
+  def ray_caster(self, targets: RayTargets, rays: Rays) -> Callable[[bool], None]:
+    ground = self._ground(targets) if rays.hits.geomid is None else None
+    return NativeRayCaster(self._batch, targets, rays, ground).cast
 
   def _ground(self, targets: RayTargets) -> batch.Batch | None:
     """Return the fixed geoms by themselves, where that is faster; casters that see the same ones share them."""
@@ -203,13 +203,13 @@ class NativeEngine:
       self._grounds[key] = batch.Batch(ground, self._num_envs, self._batch.nthread, persistent=True)
     return self._grounds[key]
 
-  def renderer(self, view: View) -> EngineImages:
+  def renderer(self, view: View, images: Mapping[str, torch.Tensor]) -> Draw:
     if self._renderers is None:
       # Warp is loaded when the first image is asked for.
       from mjlab_sim.native.rendering import native_renderers
 
       self._renderers = native_renderers(self._model, self._batch, self.data_field)
-    return self._renderers.add(view)
+    return self._renderers.add(view, images)
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     if self._contacts is None:

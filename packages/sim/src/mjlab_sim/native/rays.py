@@ -8,7 +8,7 @@ import torch
 from mujoco import batch
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import RayHits, RayTargets, heights_of, triangulate
+from mjlab_sim.rays import Rays, RayTargets, heights_of, triangulate
 
 # A ray takes as long for one mesh of any size as for about so many boxes, one after another.
 _MANY = 32
@@ -22,30 +22,19 @@ class NativeRayCaster:
 
   Args:
     worlds: All geoms of all worlds.
-    targets: What rays can hit.
-    max_distance: How far they see [m].
+    targets: Geoms that rays can hit.
+    rays: Rays and their hits.
     ground: Fixed geoms by themselves, in as many worlds (`ground_model`); None casts against all geoms alike, and hits
       then have a geom.
   """
 
-  def __init__(
-    self, worlds: batch.Batch, targets: RayTargets, max_distance: float, ground: batch.Batch | None, *, geomid: bool
-  ) -> None:
-    self._worlds, self._ground = worlds, ground
-    self._max_distance = max_distance
-    self._targets = targets
+  def __init__(self, worlds: batch.Batch, targets: RayTargets, rays: Rays, ground: batch.Batch | None) -> None:
+    self._worlds, self._targets, self._rays, self._ground = worlds, targets, rays, ground
     self._groups = None if targets.geomgroup is None else np.array(targets.geomgroup, dtype=np.uint8)
-    shape = (worlds.nsim, len(targets.bodyexclude))
-    self.origins = torch.zeros((*shape, 3), dtype=torch.float64)
-    self.directions = torch.zeros((*shape, 3), dtype=torch.float64)
-    self.hits = RayHits(
-      distance=torch.full(shape, -1.0, dtype=torch.float64),
-      geomid=torch.full(shape, -1, dtype=torch.int32) if geomid else None,
-      normal=torch.zeros((*shape, 3), dtype=torch.float64),
-    )
 
   def cast(self, is_in_place: bool) -> None:
-    rays = self.origins.numpy(), self.directions.numpy()
+    """Fill the hits; `is_in_place` is True if the fixed geoms are in their compiled places."""
+    rays = self._rays.origins.numpy(), self._rays.directions.numpy()
     if self._ground is None or not is_in_place:
       distance, geomid, normal = self._against_all(*rays, flg_static=True)
     else:
@@ -55,13 +44,13 @@ class NativeRayCaster:
         nearer = (moving >= 0.0) & ((moving < distance) | (distance < 0.0))
         distance = np.where(nearer, moving, distance)
         normal = np.where(nearer[..., None], moving_normal, normal)
-    if self._max_distance < np.inf:
-      too_far = distance > self._max_distance
-      distance[too_far], geomid[too_far], normal[too_far] = -1.0, -1, 0.0
-    self.hits.distance.copy_(torch.from_numpy(distance))
-    self.hits.normal.copy_(torch.from_numpy(normal))
-    if self.hits.geomid is not None:
-      self.hits.geomid.copy_(torch.from_numpy(geomid))
+    hits = self._rays.hits
+    hits.distance.copy_(torch.from_numpy(distance))
+    hits.normal.copy_(torch.from_numpy(normal))
+    if hits.geomid is not None:
+      hits.geomid.copy_(torch.from_numpy(geomid))
+    if self._targets.max_distance < np.inf:
+      self._rays.drop_far_hits(self._targets.max_distance)
 
   def _against_all(
     self, origins: NDArray[np.float64], directions: NDArray[np.float64], *, flg_static: bool

@@ -1,7 +1,7 @@
 """MuJoCo Warp: thousands of worlds on a GPU, and the same code on a CPU for parity."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 
 import mujoco
@@ -11,10 +11,10 @@ import torch
 import warp as wp
 from mjlab_core import Contacts, MjlabError, where_
 
-from mjlab_sim.config import RK4_REFUSED, SimulationCfg
+from mjlab_sim.config import SimulationCfg
 from mjlab_sim.fields import CONSTANTS, owner_of
-from mjlab_sim.rays import EngineRays, RayTargets
-from mjlab_sim.rendering import EngineImages, View
+from mjlab_sim.rays import Rays, RayTargets
+from mjlab_sim.rendering import Draw, View
 from mjlab_sim.tensors import TorchArray, version_of, versions
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
@@ -60,7 +60,10 @@ class WarpEngine:
     if cfg.capture:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-      raise MjlabError("the model asks for integrator RK4; " + RK4_REFUSED)
+      raise MjlabError(
+        "integrator RK4 does not allow MuJoCo Warp to split a step around the control; choose 'implicitfast',"
+        " 'implicit' or 'euler'"
+      )
     # Otherwise the sensor would report whether a frame is inside instead of how far a body reaches out.
     enclosed = (model.sensor_type == mujoco.mjtSensor.mjSENS_INSIDESITE) & (model.sensor_intprm[:, 0] != 0)
     for sensor in np.flatnonzero(enclosed):
@@ -97,7 +100,9 @@ class WarpEngine:
       self._m = mjw.put_model(model)
       self._d = mjw.put_data(model, host, nworld=self._num_envs, **sizes)
     except (NotImplementedError, ValueError) as error:
-      raise MjlabError(f"MuJoCo Warp cannot run this model: {error}") from error
+      raise MjlabError(
+        f"MuJoCo Warp cannot run this model: {error} Change the model or its options, or use engine 'native' on a CPU."
+      ) from error
     option = self._m.opt
     option.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
     if cfg.broadphase is not None:
@@ -116,9 +121,8 @@ class WarpEngine:
     self._saved_sensors = wp.zeros((self._num_envs, model.nsensordata), dtype=wp.float32)
 
   def _load_kernels(self) -> None:
-    stages = [self._forward, self._step, self._reset]
     # Most environments change a constant at their first reset; loading these kernels beside the rest costs no time.
-    stages.append(lambda: self._recompute(list(CONSTANTS), places=True))
+    stages = [self._forward, self._step, self._reset, lambda: self._recompute(list(CONSTANTS), places=True)]
     # Copies and fills are not kernels, and do happen.
     with self._launcher.stream(), self._launcher.preserved():
       load_kernels(stages, self._wp_device)
@@ -165,6 +169,9 @@ class WarpEngine:
   def reset(self, mask: torch.Tensor) -> None:
     self._mask_torch.copy_(mask)
     self._run("reset", self._reset)
+    # MuJoCo C clears these too. They belong to the substep before, and forward does not recompute them.
+    for name in _ACCELERATION_STAGE:
+      where_(self.data_field(name), mask, 0.0)
     if self._contacts is not None:
       self._contacts.forget(mask)
 
@@ -237,13 +244,6 @@ class WarpEngine:
 
   def _reset(self) -> None:
     mjw.reset_data(self._m, self._d, self._mask)
-    # MuJoCo C clears these too. They belong to the substep before, and forward does not recompute them.
-    for name in _ACCELERATION_STAGE:
-      array = getattr(self._d, name)
-      if array.size:
-        shape = self._num_envs, array.strides[0] // 4
-        flat = wp.array(ptr=array.ptr, shape=shape, dtype=wp.float32, copy=False)
-        wp.launch(kernels.clear_worlds, dim=shape, inputs=[self._mask], outputs=[flat])
 
   def _recompute(self, groups: list[str], places: bool) -> None:
     if places:
@@ -280,11 +280,11 @@ class WarpEngine:
       self._overflow.note_growth(sizes)
     return True
 
-  def ray_caster(self, targets: RayTargets, max_distance: float, geomid: bool) -> EngineRays:
-    return WarpRayCaster(self._rays, targets, max_distance, geomid=geomid)
+  def ray_caster(self, targets: RayTargets, rays: Rays) -> Callable[[bool], None]:
+    return WarpRayCaster(self._rays, targets, rays).cast
 
-  def renderer(self, view: View) -> EngineImages:
-    return self._renderers.add(view)
+  def renderer(self, view: View, images: Mapping[str, torch.Tensor]) -> Draw:
+    return self._renderers.add(view, images)
 
   def contacts(self, world: int) -> Contacts[torch.Tensor]:
     if self._contacts is None:

@@ -21,14 +21,6 @@ def restore_acceleration_sensors(
 
 
 @wp.kernel(enable_backward=False)
-def clear_worlds(mask: wp.array[bool], rows: wp.array2d[float]):
-  """Zero the rows of masked worlds."""
-  world, column = wp.tid()
-  if mask[world]:
-    rows[world, column] = 0.0
-
-
-@wp.kernel(enable_backward=False)
 def count_overflow(
   overflow: wp.array[int],
   nefc: wp.array[int],
@@ -118,18 +110,6 @@ def cast_rays(r: Rays):
   r.distance[world, ray] = wp.where(hit_geom < 0, -1.0, nearest)
   r.geomid[world, ray] = hit_geom
   r.normal[world, ray] = hit_normal
-
-
-@wp.kernel(enable_backward=False, module="unique")
-def drop_far_hits(
-  max_distance: float, distance: wp.array2d[float], geomid: wp.array2d[int], normal: wp.array2d[wp.vec3]
-):
-  """Make misses of the hits beyond `max_distance`."""
-  world, ray = wp.tid()
-  if distance[world, ray] > max_distance:
-    distance[world, ray] = -1.0
-    geomid[world, ray] = -1
-    normal[world, ray] = wp.vec3()
 
 
 @with_arrays("cam_projection cam_fovy cam_sensorsize cam_intrinsic")

@@ -36,7 +36,6 @@ def refusal(m: mjw.Model, d: mjw.Data) -> str | None:
     "it has no degrees of freedom": m.nv == 0,
     f"it has {m.nv} degrees of freedom, more than {_MAX_DOFS}": m.nv > _MAX_DOFS,
     f"njmax {d.njmax} is too large": d.njmax * _groups(m.nv) > _MAX_GROUPS,
-    "its buffers hold no constraint rows": d.njmax == 0,
   }
   return next((reason for reason, applies in reasons.items() if applies), None)
 

@@ -41,8 +41,8 @@ def make_kernel(
   """
   constants = {
     "NV": nv,
-    "NR": max(rows, 1),
-    "NZ": max(groups, 1),
+    "NR": rows,
+    "NZ": groups,
     "NT": threads,
     "ELLIPTIC": int(is_elliptic),
     "IN_MEMORY": int(in_memory),

@@ -15,7 +15,7 @@ from typing import Any
 
 import warp as wp
 
-from mjlab_sim.warp.tile_solvers import headers_shared, made_elsewhere, replaced
+from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
 
 fcntl: ModuleType | None = None
 # On Windows, which has none, each process compiles for itself.
@@ -37,24 +37,15 @@ def load_kernels(stages: Sequence[Callable[[], None]], device: Any) -> None:
     for stage in stages:
       stage()
   cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-  with (
-    _once_per_cache(_digest(variants, device)),
-    made_elsewhere(cores),
-    headers_shared(),
-    ThreadPoolExecutor(cores) as pool,
-  ):
+
+  def load(module: Any) -> None:
+    # A module notes the block size that it loads for, so that two of one module take turns.
+    for block_dim in variants[module]:
+      module.load(device, block_dim)
+
+  with _once_per_cache(_digest(variants, device)), made_elsewhere(cores), ThreadPoolExecutor(cores) as pool:
     # The longest begin first.
-    modules = sorted(variants, key=_work, reverse=True)
-
-    def load(module: Any) -> None:
-      # A module notes the block size that it loads for, so that two of one module take turns.
-      for block_dim in variants[module]:
-        module.load(device, block_dim)
-
-    if modules and not device.is_cuda:
-      # With the shortest, a CPU's compiler makes the headers that all others take.
-      load(modules[-1])
-    list(pool.map(load, modules))
+    list(pool.map(load, sorted(variants, key=_work, reverse=True)))
 
 
 def _digest(variants: _Variants, device: Any) -> str:

@@ -10,7 +10,7 @@ import warp as wp
 from mjlab_core import MjlabError
 from numpy.typing import NDArray
 
-from mjlab_sim.rays import Geoms, RayHits, RayTargets, asset_surface, triangulate
+from mjlab_sim.rays import Geoms, Rays, RayTargets, asset_surface, triangulate
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.launching import Stage
@@ -29,7 +29,7 @@ class RayScene:
   def __init__(self, stage: Stage) -> None:
     self.stage = stage
     self._fixed: dict[bytes, tuple[wp.Mesh | None, Any]] = {}
-    self._surfaces: dict[int, tuple[list[wp.Mesh], Any]] = {}
+    self._surfaces: dict[int, list[wp.Mesh]] = {}
 
   def triangles(self, geoms: Geoms) -> tuple[wp.Mesh | None, Any]:
     """Return fixed geoms as one tree that all worlds share, None without any, and the geom of each triangle.
@@ -53,9 +53,8 @@ class RayScene:
     if not (self.stage.model.geom_type[geoms] == kind).any():
       return wp.zeros(count, dtype=wp.uint64)
     if kind not in self._surfaces:
-      trees = [_tree(*asset_surface(self.stage.model, kind, number)) for number in range(count)]
-      self._surfaces[kind] = trees, wp.array([tree.id for tree in trees], dtype=wp.uint64)
-    return self._surfaces[kind][1]
+      self._surfaces[kind] = [_tree(*asset_surface(self.stage.model, kind, number)) for number in range(count)]
+    return wp.array([tree.id for tree in self._surfaces[kind]], dtype=wp.uint64)
 
 
 def _tree(vertices: NDArray[np.float64], triangles: NDArray[np.int32]) -> wp.Mesh:
@@ -73,15 +72,14 @@ class WarpRayCaster:
   # Graphs are kept by name, and a caster may be gone before its graph.
   _numbers = itertools.count()
 
-  def __init__(self, scene: RayScene, targets: RayTargets, max_distance: float, *, geomid: bool) -> None:
-    self._stage, self._name = scene.stage, f"rays {next(self._numbers)}"
-    model, shape = scene.stage.model, (scene.stage.num_envs, len(targets.exclude))
+  def __init__(self, scene: RayScene, targets: RayTargets, rays: Rays) -> None:
+    self._stage, self._targets, self._rays = scene.stage, targets, rays
+    self._name = f"rays {next(self._numbers)}"
     if not internals.IS_TESTED and (targets.exclude != targets.bodyexclude).any():
       raise MjlabError(
         f"exclude_trees needs mujoco-warp {internals.TESTED}, {mjw.__version__} is installed; exclude single bodies"
       )
-    groups = targets.geomgroup
-    self._groups: Any = [-1.0] * 6 if groups is None else [float(group) for group in groups]
+    model, hits = scene.stage.model, rays.hits
     is_flat = np.isin(model.geom_type[targets.ground], _FLAT_FACES)
     every = np.concatenate((targets.ground, targets.others))
     with wp.ScopedDevice(self._stage.device):
@@ -89,39 +87,41 @@ class WarpRayCaster:
       self._others: Any = wp.array(np.concatenate((targets.ground[~is_flat], targets.others)), dtype=wp.int32)
       self._every: Any = wp.array(every, dtype=wp.int32)
       self._bodyexclude: Any = wp.array(targets.bodyexclude, dtype=wp.int32)
-      self._rays: dict[str, Any] = {
+      self._arrays: dict[str, Any] = {
         "triangle_geom": triangle_geom,
         "mesh_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_MESH, model.nmesh, every),
         "hfield_surface": scene.surfaces(mujoco.mjtGeom.mjGEOM_HFIELD, model.nhfield, every),
         "owner": wp.array(targets.owner, dtype=wp.int32),
         "exclude": wp.array(targets.exclude, dtype=wp.int32),
         # Python's infinity would make Warp's comparisons with a miss ambiguous.
-        "max_distance": min(max_distance, mujoco.mjMAXVAL),
-        "origins": wp.zeros(shape, dtype=wp.vec3),
-        "directions": wp.zeros(shape, dtype=wp.vec3),
-        "distance": wp.full(shape, -1.0, dtype=wp.float32),
-        "geomid": wp.full(shape, -1, dtype=wp.int32),
-        "normal": wp.zeros(shape, dtype=wp.vec3),
+        "max_distance": min(targets.max_distance, mujoco.mjMAXVAL),
+        "origins": wp.from_torch(rays.origins, dtype=wp.vec3),
+        "directions": wp.from_torch(rays.directions, dtype=wp.vec3),
+        "distance": wp.from_torch(hits.distance),
+        "geomid": wp.empty(hits.distance.shape, int) if hits.geomid is None else wp.from_torch(hits.geomid),
+        "normal": wp.from_torch(hits.normal, dtype=wp.vec3),
       }
-    names = ("origins", "directions", "distance", "geomid", "normal")
-    self.origins, self.directions, distance, geoms, normal = (wp.to_torch(self._rays[name]) for name in names)
-    self.hits = RayHits(distance=distance, geomid=geoms if geomid else None, normal=normal)
 
   def cast(self, is_in_place: bool) -> None:
+    """Fill the hits; `is_in_place` is True if the fixed geoms are in their compiled places."""
     if not internals.IS_TESTED:
       self._stage.run(f"{self._name} public", self._search_public)
+      self._rays.drop_far_hits(self._targets.max_distance)
     elif is_in_place:
       self._stage.run(self._name, lambda: self._search(self._fixed, self._others))
     else:
       self._stage.run(f"{self._name} one by one", lambda: self._search(None, self._every))
 
   def _search_public(self) -> None:
-    rays = self._rays
-    start, hits = (rays["origins"], rays["directions"]), [rays[name] for name in ("distance", "geomid", "normal")]
-    mjw.rays(self._stage.m, self._stage.d, *start, self._groups, True, self._bodyexclude, *hits)
-    wp.launch(kernels.drop_far_hits, dim=start[0].shape, inputs=[rays["max_distance"], *hits])
+    groups: Any = [float(seen) for seen in self._targets.geomgroup or [-1] * mujoco.mjNGROUP]
+    origins, directions, distance, geomid, normal = (
+      self._arrays[name] for name in ("origins", "directions", "distance", "geomid", "normal")
+    )
+    mjw.rays(
+      self._stage.m, self._stage.d, origins, directions, groups, True, self._bodyexclude, distance, geomid, normal
+    )
 
   def _search(self, fixed: wp.Mesh | None, others: Any) -> None:
     mesh = wp.uint64(0 if fixed is None else fixed.id)
-    rays = filled(kernels.Rays, self._stage.m, self._stage.d, mesh=mesh, others=others, **self._rays)
+    rays = filled(kernels.Rays, self._stage.m, self._stage.d, mesh=mesh, others=others, **self._arrays)
     wp.launch(kernels.cast_rays, dim=rays.origins.shape, inputs=[rays])

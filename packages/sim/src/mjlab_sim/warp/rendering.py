@@ -2,7 +2,7 @@
 
 import dataclasses
 import itertools
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 import mujoco
@@ -10,18 +10,11 @@ import mujoco_warp as mjw
 import torch
 import warp as wp
 
-from mjlab_sim.rendering import EngineImages, Images, View
+from mjlab_sim.rendering import Draw, View
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp.launching import Stage
 from mjlab_sim.warp.structs import filled
 
-_IMAGES: dict[str, tuple[int, Any, int]] = {
-  "rgb": (3, wp.uint8, 0),
-  "depth": (1, wp.float32, -1),
-  "distance": (1, wp.float32, -1),
-  "segmentation": (2, wp.int32, -1),
-}
-"""Channels and type of the images of a kind, and their value before the first drawing."""
 _PER_VIEW = ("cam_res", "cam_id_map", "rgb_adr", "depth_adr", "seg_adr", "render_rgb", "render_depth", "render_seg")
 """Arrays of a render context that have one entry for each view."""
 
@@ -37,11 +30,10 @@ class Renderers:
     self._stage = stage
     self._scenes: dict[Hashable, _Scene] = {}
 
-  def add(self, view: View) -> EngineImages:
-    """Return images of a view, and the function that draws them."""
+  def add(self, view: View, images: Mapping[str, torch.Tensor]) -> Draw:
+    """Return the function that draws a view into `images`."""
     scene = self._scenes.setdefault(view.look, _Scene(self._stage))
-    renderer = WarpRenderer(self._stage, scene, view)
-    return EngineImages(images=renderer.images, draw=renderer.draw)
+    return WarpRenderer(self._stage, scene, view, images).draw
 
 
 class _Scene:
@@ -113,27 +105,19 @@ class _Scene:
 class WarpRenderer:
   """One view of a stage."""
 
-  def __init__(self, stage: Stage, scene: _Scene, view: View) -> None:
+  def __init__(self, stage: Stage, scene: _Scene, view: View, images: Mapping[str, torch.Tensor]) -> None:
     self._stage, self._scene, self._view = stage, scene, view
     self._number = scene.add(view)
-    worlds, pixels = stage.num_envs, view.width * view.height
-    with wp.ScopedDevice(stage.device):
-      self._arrays: dict[str, Any] = {
-        kind: wp.full((worlds, channels, pixels if kind in view.data_types else 0), empty, dtype=dtype)
-        for kind, (channels, dtype, empty) in _IMAGES.items()
-      }
-      self._is_due: Any = wp.ones(worlds, dtype=wp.bool)
-    self._is_due_torch = wp.to_torch(self._is_due)
+    self._arrays: dict[str, Any] = {kind: wp.from_torch(image.flatten(2)) for kind, image in images.items()}
+    device = images["rgb"].device
+    self._is_due = torch.ones(stage.num_envs, dtype=torch.bool, device=device)
     # Poses of cameras in the worlds that are due. In the others they are far below everything and look down, which
     # costs next to nothing.
     self._aimed = {name: wp.clone(getattr(stage.d, name)) for name in ("cam_xpos", "cam_xmat")}
     self._away = {
-      "cam_xpos": torch.tensor([0.0, 0.0, -1e9], device=self._is_due_torch.device),
-      "cam_xmat": torch.eye(3, device=self._is_due_torch.device),
+      "cam_xpos": torch.tensor([0.0, 0.0, -1e9], device=device),
+      "cam_xmat": torch.eye(3, device=device),
     }
-    size = view.height, view.width
-    tensors = {kind: wp.to_torch(array).unflatten(2, size) for kind, array in self._arrays.items() if array.size}
-    self.images = Images(**tensors)
 
   def draw(self, version: int, mask: torch.Tensor | None) -> None:
     """Draw the worlds in a mask, all for None, as they are at a version of the simulation."""
@@ -143,10 +127,10 @@ class WarpRenderer:
     context = self._scene.context(self._number, version)
     name = f"{self._scene.name}, view {self._number}"
     if mask is None:
-      self._is_due_torch.fill_(True)
+      self._is_due.fill_(True)
       self._stage.run(name, lambda: self._draw(context, self._stage.d))
     else:
-      self._is_due_torch.copy_(mask)
+      self._is_due.copy_(mask)
       for field, aimed in self._aimed.items():
         pose = wp.to_torch(getattr(self._stage.d, field))
         due = mask.view(-1, *[1] * (pose.ndim - 1))
@@ -158,6 +142,6 @@ class WarpRenderer:
     mjw.render(m, d, context)
     names = ("rgb_data", "depth_data", "seg_data", "rgb_adr", "depth_adr", "seg_adr", "znear")
     own = {name: getattr(context, name) for name in names} | self._arrays
-    own |= {"is_due": self._is_due, "camera": view.camera, "width": view.width, "height": view.height}
+    own |= {"is_due": wp.from_torch(self._is_due), "camera": view.camera, "width": view.width, "height": view.height}
     pictures, size = filled(kernels.Pictures, m, d, **own), (self._stage.num_envs, view.width * view.height)
     wp.launch(kernels.unpack_images, dim=size, inputs=[pictures])

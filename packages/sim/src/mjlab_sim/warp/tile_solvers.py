@@ -20,13 +20,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
-from warp._src import build, context
+from warp._src import build
 
 TESTED = "1.19"
 PRIVATE = {
   "warp.Module._run_codegen": "writes the source of a module, twice here; else modules are written once, one by one",
   "warp._src.build.build_lto_solver": "makes a solver, in another process here; else under Warp's lock",
-  "warp._src.context.Runtime.get_clang_pch_dir": "gives threads the headers of one; else each makes its own",
 }
 
 
@@ -39,21 +38,6 @@ def replaced(owner: Any, name: str, value: object) -> Generator[None]:
     yield
   finally:
     setattr(owner, name, before)
-
-
-@contextmanager
-def headers_shared() -> Generator[None]:
-  """Let threads that compile for a CPU inside the context use the precompiled headers of this thread.
-
-  Making them takes three seconds of a core. The compiler renames a finished file into its place.
-  """
-  runtime = context.runtime
-  if runtime is None or not hasattr(runtime, "get_clang_pch_dir"):
-    yield
-    return
-  folder = runtime.get_clang_pch_dir()
-  with replaced(type(runtime), "get_clang_pch_dir", lambda self: folder):
-    yield
 
 
 @contextmanager
