@@ -78,12 +78,15 @@ class WorldFields:
     )
     as_compiled = {name: self.default(name) for name in self._written_shared() if name not in state["model"]}
     state["shared"] = as_compiled | state["shared"]
-    for kind, fields in (
-      ("data", self._fresh.state()),
-      ("model", {name: self._view[name] for name in PER_WORLD & {*state["model"], *self.expanded}}),
-      ("shared", {name: self._view[name] for name in PER_WORLD & {*state["shared"]} - {*self.expanded}}),
-      ("default", self._defaults),
-    ):
+    own = PER_WORLD & {*state["model"], *self.expanded}
+    shared = PER_WORLD & {*state["shared"]} - {*self.expanded}
+    here: dict[str, Mapping[str, torch.Tensor]] = {
+      "data": self._fresh.state(),
+      "model": {name: self._view[name] for name in own},
+      "shared": {name: self._view[name] for name in shared},
+      "default": self._defaults,
+    }
+    for kind, fields in here.items():
       refuse_state(self._problems(kind, state[kind], fields))
     return state
 
