@@ -5,12 +5,12 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from mjlab_core.names import check_name
+from mjlab_rl import RunManifest, TaskCfg
 
 from mjlab.registry import load_task
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
-  from mjlab_rl import RunManifest, TaskCfg
 
 GPU_NUM_ENVS = 4096
 

@@ -9,13 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mjlab_core import ConfigError, UnknownNameError, require, unknown
+from mjlab_rl import TaskCfg
 from mjlab_rl.references import TASK_GROUP, distribution_name, trust_package
-
-if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,8 +68,6 @@ def load_task(name: str) -> "TaskCfg[Any]":
     ConfigError: Two packages offer the task, it cannot be imported, or its function returns another type.
   """
   package, build = _found(name)
-  from mjlab_rl import TaskCfg
-
   task = build() if callable(build) else build
   wanted = "its entry point must name a function that returns a mjlab_rl.TaskCfg"
   return require(task, TaskCfg, f"task '{name}' of {package}: {wanted}; got {type(task).__name__}")

@@ -13,7 +13,12 @@ import re
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Generator, Sequence
+from importlib.metadata import version
+
+from mjlab_core import ConfigError, FileError, MjlabError, UnknownNameError, UsageError, printable
+from mjlab_core.names import check_name
 
 _COMMANDS: dict[str, tuple[str, str]] = {
   # name: (words, summary)
@@ -50,8 +55,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(_overview(), end="")
     return 0 if words else 2
   if words[0] == "--version":
-    from importlib.metadata import version
-
     print(f"mjlab {version('mjlab')}")
     return 0
   return _run(words[0], words[1:])
@@ -80,9 +83,6 @@ def __getattr__(name: str) -> Callable[..., int]:
 
 def _run(name: str, words: list[str]) -> int:
   """Run a command. A user's mistake becomes a message; other errors also print a traceback."""
-  from mjlab_core import ConfigError, MjlabError, UsageError, printable
-  from mjlab_core.names import check_name
-
   # Most of what a start makes stays, and Python would search it for garbage 700 times.
   gc.set_threshold(50_000)
   if isinstance(sys.stdout, io.TextIOWrapper):
@@ -101,10 +101,8 @@ def _run(name: str, words: list[str]) -> int:
     return 0
   except Exception as error:
     is_out_of_memory = _is_out_of_memory(error)
-    is_expected = isinstance(error, MjlabError | OSError) or is_out_of_memory
+    is_expected = is_out_of_memory or isinstance(error, MjlabError | OSError)
     if not is_expected or ("--traceback" in words and not isinstance(error, UsageError)):
-      import traceback
-
       traceback.print_exc()
     # Names from files are part of messages; only a list of problems has several lines.
     lines = str(error).splitlines() if isinstance(error, ConfigError) else [str(error)]
@@ -117,8 +115,6 @@ def _run(name: str, words: list[str]) -> int:
 
 def _is_wrong_line(error: Exception, words: Sequence[str]) -> bool:
   """Return True if another command line would have avoided an error, whatever the files hold."""
-  from mjlab_core import ConfigError, FileError, UnknownNameError, UsageError
-
   if isinstance(error, UsageError | UnknownNameError):
     return True
   if isinstance(error, FileError):

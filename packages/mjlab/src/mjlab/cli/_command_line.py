@@ -6,18 +6,16 @@ import dataclasses
 import itertools
 from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import field_problems
+from mjlab_rl import RunManifest, TaskCfg
 
 from mjlab import environments
 from mjlab.cli._help import field_rows, help_text
 from mjlab.cli._task_help import task_help
 from mjlab.registry import list_tasks, load_task
-
-if TYPE_CHECKING:
-  from mjlab_rl import RunManifest, TaskCfg
 
 _HELP = {"-h", "--help"}
 
@@ -232,8 +230,6 @@ def built_env(parts: "TaskCfg[Any] | RunManifest", cfg: Any, device: str) -> Gen
   Raises:
     MjlabError: The configuration cannot be built.
   """
-  from mjlab_rl import RunManifest
-
   with building(from_file=isinstance(parts, RunManifest)):
     env = (parts.make_env or environments.standard_env)(cfg, device=device)
   try:

@@ -1,15 +1,19 @@
 """`convert-motion CLIP ... [flags]`: check motion clips and convert them."""
 
 import contextlib
-import dataclasses
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import mjlab_motions
+import mjlab_viewer
 from mjlab_core import UsageError, safe_name
 from mjlab_core.files import reading
 from mjlab_core.names import check_name
+from mjlab_motions import shipped_clips
+from mjlab_motions.clips import read_json, read_text
 
 from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
 from mjlab.cli._progress import progress_bar
@@ -17,10 +21,9 @@ from mjlab.cli._watching import browse_replay
 
 if TYPE_CHECKING:
   import mujoco
-  from mjlab_motions import Kinematics, Motion
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PageArguments):
   """All that can be given after the clips."""
 
@@ -85,12 +88,10 @@ examples:
 )
 def run(wanted: Arguments, clips: list[str]) -> int:
   """Read clips (.csv, .npz, or the name of a clip that ships), edit them, report on them, and write them."""
-  from mjlab_motions import Kinematics
-
   from mjlab.cli._clip_preview import clip_replay, film_clip, preview_model
 
   spec = robot_spec(wanted.robot)
-  robot = Kinematics(spec.compile())
+  robot = mjlab_motions.Kinematics(spec.compile())
   motions = _read(clips, robot, wanted)
   if wanted.preview and len(motions) > 1:
     raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
@@ -103,10 +104,8 @@ def run(wanted: Arguments, clips: list[str]) -> int:
   with contextlib.ExitStack() as opened:
     renderer: Any = None
     if wanted.video is not None:
-      from mjlab_viewer import OffscreenRenderer
-
       # Opened before anything is written: without OpenGL no part of the work is done.
-      renderer = opened.enter_context(OffscreenRenderer(model))
+      renderer = opened.enter_context(mjlab_viewer.OffscreenRenderer(model))
     show = opened.enter_context(progress_bar("converting", len(motions)))
     for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
       show(index, motion.name)
@@ -121,13 +120,10 @@ def run(wanted: Arguments, clips: list[str]) -> int:
   return int(has_errors)
 
 
-def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Motion]":
+def _read(clips: list[str], robot: "mjlab_motions.Kinematics", wanted: Arguments) -> "list[mjlab_motions.Motion]":
   """Return the edited clips."""
-  from mjlab_motions import Statement, concatenate, crop, mirror, read_motion, resample, smooth, to_ground
-  from mjlab_motions.clips import read_json
-
   example = '{"robot joint": "column" or a number, ...}'
-  stated_facts = Statement(
+  stated_facts = mjlab_motions.Statement(
     rate=wanted.rate,
     quaternion=wanted.quaternion,
     joint_names=_names(wanted.joint_names),
@@ -135,41 +131,45 @@ def _read(clips: list[str], robot: "Kinematics", wanted: Arguments) -> "list[Mot
     joint_map=None if wanted.joint_map is None else read_json(wanted.joint_map, dict[str, str | float], example),
   )
   stated = {name: text for name in ("source", "license") if (text := getattr(wanted, name)) is not None}
-  motions: list[Motion] = []
+  motions: list[mjlab_motions.Motion] = []
   with progress_bar("reading", len(clips)) as show:
     for clip in clips:
-      motions.append(read_motion(_found(clip), robot, stated_facts))
+      motions.append(mjlab_motions.read_motion(_found(clip), robot, stated_facts))
       show(len(motions), motions[-1].name)
   with as_usage():
     if wanted.crop is not None:
-      motions = [crop(motion, *wanted.crop) for motion in motions]
+      motions = [mjlab_motions.crop(motion, *wanted.crop) for motion in motions]
     if wanted.output_rate is not None:
-      motions = [resample(motion, wanted.output_rate) for motion in motions]
+      motions = [mjlab_motions.resample(motion, wanted.output_rate) for motion in motions]
     if wanted.mirror:
-      motions = [mirror(motion, robot) for motion in motions]
+      motions = [mjlab_motions.mirror(motion, robot) for motion in motions]
     if wanted.concatenate is not None:
-      motions = [concatenate(motions, blend=wanted.concatenate)]
+      motions = [mjlab_motions.concatenate(motions, blend=wanted.concatenate)]
     if wanted.smooth is not None:
-      motions = [smooth(motion, wanted.smooth) for motion in motions]
+      motions = [mjlab_motions.smooth(motion, wanted.smooth) for motion in motions]
     if wanted.ground:
-      motions = [to_ground(motion, robot) for motion in motions]
+      motions = [mjlab_motions.to_ground(motion, robot) for motion in motions]
   if stated:
     motions = [motion.changed(f"{' and '.join(stated)} stated", **stated) for motion in motions]
   return motions
 
 
-def _write(motion: "Motion", robot: "Kinematics", target: Path | None, picture: Path | None, wanted: Arguments) -> bool:
+def _write(
+  motion: "mjlab_motions.Motion",
+  robot: "mjlab_motions.Kinematics",
+  target: Path | None,
+  picture: Path | None,
+  wanted: Arguments,
+) -> bool:
   """Report on a clip and write it; return False if errors forbid that."""
-  from mjlab_motions import check_quality, derived_arrays, plot_quality, save_motion
-
-  report = check_quality(motion, robot)
+  report = mjlab_motions.check_quality(motion, robot)
   print(report.table())
   if picture is not None:
-    plot_quality(report, picture)
+    mjlab_motions.plot_quality(report, picture)
     print(f"drew {picture}")
   is_good = report.severity != "error" or wanted.accept_errors
   if target is not None and is_good:
-    save_motion(motion, target, None if wanted.compact else derived_arrays(motion, robot))
+    mjlab_motions.save_motion(motion, target, None if wanted.compact else mjlab_motions.derived_arrays(motion, robot))
     print(f"wrote {target}: {motion.num_frames} frames at {motion.rate:g} Hz")
   elif target is not None:
     print(f"not written: {target}, because of the errors above; --accept-errors writes it", file=sys.stderr)
@@ -199,8 +199,6 @@ def robot_spec(name: str) -> "mujoco.MjSpec":
 
 def _names(text: str | None) -> tuple[str, ...] | None:
   """Return names given as a,b,c or in a text file."""
-  from mjlab_motions.clips import read_text
-
   if text is None:
     return None
   words = read_text(text).replace(",", " ").split() if Path(text).is_file() else text.split(",")
@@ -209,13 +207,11 @@ def _names(text: str | None) -> tuple[str, ...] | None:
 
 def _found(clip: str) -> Path:
   """Return the file of a clip: this one, or that of a clip that ships."""
-  from mjlab_motions import shipped_clips
-
   path, shipped = Path(clip), shipped_clips()
   return path if path.is_file() or path.suffix else shipped[check_name("clip", clip, shipped)]
 
 
-def _targets(flag: str, motions: "Sequence[Motion]", ending: str, wanted: Arguments) -> list[Path | None]:
+def _targets(flag: str, motions: "Sequence[mjlab_motions.Motion]", ending: str, wanted: Arguments) -> list[Path | None]:
   """Return the file that a flag names for each motion."""
   if (given := getattr(wanted, flag)) is None:
     return [None] * len(motions)

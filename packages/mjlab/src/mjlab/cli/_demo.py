@@ -1,6 +1,6 @@
 """`demo [--task NAME] [flags]`: a policy that comes with the package, in the browser."""
 
-import dataclasses
+from dataclasses import dataclass
 from importlib.resources import as_file
 
 from mjlab_core import UsageError
@@ -11,7 +11,7 @@ from mjlab.cli._command_line import CommandLine, take
 from mjlab.demos import shipped
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments:
   """Flags of the command; those of `play` are added."""
 

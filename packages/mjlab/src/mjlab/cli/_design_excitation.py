@@ -1,6 +1,6 @@
 """`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record identifies parameters of a robot well."""
 
-import dataclasses
+from dataclasses import dataclass
 from typing import Annotated
 
 from mjlab_core.constraints import Items
@@ -10,7 +10,7 @@ from mjlab.cli._progress import stop_on_ctrl_c
 from mjlab.cli._sysid import print_iteration, robot_of, task_ranges
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 

@@ -1,11 +1,14 @@
 """`evaluate TASK [flags]`: statistics of a policy with confidence intervals, for people and for CI."""
 
-import dataclasses
 import json
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import mjlab_core
+import mjlab_rl
 from mjlab_core import AtomicWrite, UsageError
+from mjlab_rl.manifest import package_versions
 
 from mjlab import environments
 from mjlab.cli._command_line import (
@@ -22,11 +25,8 @@ from mjlab.cli._policies import PolicyArguments, find_policy
 from mjlab.cli._progress import progress_bar
 from mjlab.registry import load_task
 
-if TYPE_CHECKING:
-  from mjlab_rl import Evaluation, Policy, Threshold
 
-
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PolicyArguments, TaskArguments):
   """All that can be given after the task."""
 
@@ -48,10 +48,8 @@ class Arguments(PolicyArguments, TaskArguments):
 
 def _load(name: str, given: list[str]) -> Loaded:
   """Load a task; one without an evaluator gets that of the return."""
-  from mjlab_rl import ReturnEvaluation
-
   task = load_task(name)
-  return dataclasses.replace(task, evaluator=task.evaluator or ReturnEvaluation()), given, given
+  return replace(task, evaluator=task.evaluator or mjlab_rl.ReturnEvaluation()), given, given
 
 
 @CommandLine(
@@ -97,11 +95,9 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   return int(broken > 0 or not all(reached for reached, _ in outcomes))
 
 
-def _thresholds(text: str | None) -> "list[Threshold]":
-  from mjlab_rl import Threshold
-
+def _thresholds(text: str | None) -> "list[mjlab_rl.Threshold]":
   with as_usage("--require"):
-    return [] if text is None else [Threshold.parse(part) for part in text.split(",")]
+    return [] if text is None else [mjlab_rl.Threshold.parse(part) for part in text.split(",")]
 
 
 def _configured(wanted: Arguments, name: str, default: int) -> Any:
@@ -118,14 +114,11 @@ def _configured(wanted: Arguments, name: str, default: int) -> Any:
   return cfg
 
 
-def _played(wanted: Arguments, env: Any, policy: "Policy") -> "tuple[Evaluation, int]":
+def _played(wanted: Arguments, env: Any, policy: "mjlab_rl.Policy") -> "tuple[mjlab_rl.Evaluation, int]":
   """Return the evaluation of a policy, and the number of its actions that were not finite."""
-  from mjlab_core import seed_everything
-  from mjlab_rl import FinitePolicy
-
-  policy = FinitePolicy(policy)
+  policy = mjlab_rl.FinitePolicy(policy)
   # Random actions are the same in every evaluation.
-  seed_everything(getattr(wanted.eval, "seed", 0))
+  mjlab_core.seed_everything(getattr(wanted.eval, "seed", 0))
   if wanted.quiet:
     return wanted.eval.run(env, policy, None), policy.num_broken
   steps = int(env.max_episode_length)
@@ -162,9 +155,7 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
   return folder
 
 
-def _write(folder: Path, evaluation: "Evaluation", about: dict[str, Any]) -> None:
-  from mjlab_rl.manifest import package_versions
-
+def _write(folder: Path, evaluation: "mjlab_rl.Evaluation", about: dict[str, Any]) -> None:
   from mjlab.cli._plots import plot_curves, plot_groups
 
   (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")

@@ -1,13 +1,17 @@
 """`export RUN [flags]`: a trained policy as a bundle for mjlab-deploy."""
 
-import dataclasses
 import io
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import mjlab_core
+import mjlab_rl
 from mjlab_core import UsageError
 from mjlab_core.constraints import Count
+from mjlab_core.errors import RenderingError
+from mjlab_rl import find_checkpoint, load_run
 
 from mjlab import environments
 from mjlab.cli._command_line import (
@@ -21,7 +25,7 @@ from mjlab.cli._command_line import (
 from mjlab.registry import load_task
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(CommonArguments):
   """All that can be given after the run."""
 
@@ -47,13 +51,9 @@ def run(wanted: Arguments, sources: list[str]) -> int:
   It has a graph from sensors to joint targets, its description, the robot's model, and a record of the training
   environment. mjlab-deploy verify checks it.
   """
-  from mjlab_rl import find_checkpoint
-
   checkpoint = find_checkpoint(sources[0], log_root=Path(wanted.log_root), experiment="")
-  folder = Path(wanted.output) if wanted.output is not None else beside(checkpoint, "bundle")
+  folder = Path(wanted.output or beside(checkpoint, "bundle"))
   output_folder(folder, "bundle.json", force=wanted.force or wanted.output is None)
-  from mjlab_core import seed_everything
-  from mjlab_rl import CheckpointPolicy
   from mjlab_rl.policy_bundle import BundleWriter, record, without_noise, write_zip
   from mjlab_rl.reference_policy import write_for_others
 
@@ -61,9 +61,9 @@ def run(wanted: Arguments, sources: list[str]) -> int:
   with building():
     cfg = without_noise(environments.for_watching(parts))
   with built_env(parts, cfg, "cpu") as env:
-    policy = CheckpointPolicy(env, parts.agent, parts.runner)
+    policy = mjlab_rl.CheckpointPolicy(env, parts.agent, parts.runner)
     policy.load(checkpoint)
-    seed_everything(0)
+    mjlab_core.seed_everything(0)
     env.reset(seed=0)
     # Named first if it cannot be exported, before anything is recorded.
     writer = BundleWriter(env, parts.agent, name)
@@ -87,8 +87,6 @@ def run(wanted: Arguments, sources: list[str]) -> int:
 
 def _parts(checkpoint: Path, task: str | None) -> tuple[Any, str]:
   """Return the run of a checkpoint, or the task that is named, and its id."""
-  from mjlab_rl import load_run
-
   if task is not None:
     return load_task(task), task
   try:
@@ -109,7 +107,6 @@ def _training(checkpoint: Path, parts: Any) -> dict[str, Any]:
 
 
 def _picture(env: Any) -> bytes | None:
-  from mjlab_core.errors import RenderingError
   from PIL import Image
 
   try:

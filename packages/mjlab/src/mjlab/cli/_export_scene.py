@@ -1,7 +1,7 @@
 """`export-scene TASK [flags]`: a task's model as MJCF with its assets."""
 
-import dataclasses
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 
 from mjlab_core import safe_name
@@ -9,7 +9,7 @@ from mjlab_core import safe_name
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, building, output_folder
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 

@@ -1,14 +1,15 @@
 """`inspect-dr TASK [flags]`: effects of the events of a task, as a table and a picture."""
 
-import dataclasses
+from dataclasses import dataclass
 from typing import Annotated
 
 from mjlab_core.constraints import Limits
 
+from mjlab import environments
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, built_env, output_file
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 
@@ -37,7 +38,6 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   mark an event that does nothing, or not what was requested.
   """
   picture = None if wanted.png is None else output_file("--png", wanted.png, ".png", force=wanted.force)
-  from mjlab import environments
   from mjlab.inspection import inspect_events, inspect_inertia, report_text
 
   device = environments.resolve_device(wanted.device)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mjlab_core import MjlabError, UsageError
+from mjlab_rl.run_directory import find_launch
 
 from mjlab import environments
 from mjlab.cli._command_line import TaskLine, take
@@ -88,8 +89,6 @@ def restarted_from(log_root: Path, experiment: str) -> Path | None:
   """Return the checkpoint to continue from after torchrun has started the processes again; None otherwise."""
   if os.environ.get("TORCHELASTIC_RESTART_COUNT", "0") == "0":
     return None
-  from mjlab_rl.run_directory import find_launch
-
   return find_launch(os.environ["TORCHELASTIC_RUN_ID"], log_root=log_root, experiment=experiment)
 
 

@@ -1,7 +1,7 @@
 """`new robot FILE` and `new task NAME`: packages to begin with."""
 
-import dataclasses
 import shlex
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -9,10 +9,12 @@ from typing import Literal
 from mjlab_core import UsageError, printable, unknown
 
 from mjlab.cli._command_line import CommandLine, CommonArguments, building
+from mjlab.new.package import check_new_package, package_name, write_package
+from mjlab.new.task import task_files, task_id
 from mjlab.registry import list_tasks
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class RobotArguments(CommonArguments):
   """All that can be given after the model file."""
 
@@ -35,7 +37,7 @@ class RobotArguments(CommonArguments):
 _ROBOT = CommandLine("new robot", "FILE", RobotArguments)
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class TaskArguments(CommonArguments):
   """All that can be given after the name."""
 
@@ -58,8 +60,6 @@ def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
   that settled under gravity, a picture, and a test that it stands.
   """
   file = Path(files[0])
-  from mjlab.new.package import check_new_package, package_name, write_package
-
   name = wanted.name or package_name(file.stem)
   folder = Path(wanted.output or name)
   check_new_package(name, folder)
@@ -87,9 +87,6 @@ def _new_task(wanted: TaskArguments, names: list[str]) -> int:
   commands, a README, and a test that trains for two iterations. The package my_walk offers the task My-Walk.
   """
   (name,) = names
-  from mjlab.new.package import check_new_package, write_package
-  from mjlab.new.task import task_files, task_id
-
   folder = Path(wanted.output or name)
   check_new_package(name, folder)
   if task_id(name) in list_tasks():

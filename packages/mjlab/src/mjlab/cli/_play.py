@@ -1,21 +1,20 @@
 """`play TASK [flags]`: watch a policy."""
 
-import dataclasses
 import math
 import os
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
+import mjlab_rl
+import mjlab_viewer
 from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import Positive, PositiveCount
+from mjlab_rl import checkpoints
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, PageArguments, TaskArguments, TaskLine, output_file
 from mjlab.cli._policies import FoundPolicy, PolicyArguments, find_policy
 from mjlab.cli._watching import browse, until_interrupted
-
-if TYPE_CHECKING:
-  from mjlab_viewer import CameraCfg, CheckpointList, Playback, Policy
 
 _NUM_ENVS = {"browser": 8, "native": 1, "none": 1}
 _MOST_TILES = 16
@@ -23,7 +22,7 @@ _MOST_FPS = 30.0
 """A film of a faster policy shows every second step, or fewer: without a GPU, drawing takes most of the time."""
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PolicyArguments, PageArguments, TaskArguments):
   """All that can be given after the task."""
 
@@ -54,27 +53,26 @@ class Arguments(PolicyArguments, PageArguments, TaskArguments):
 @CommandLine("play", "TASK", Arguments)
 def run(wanted: Arguments, line: TaskLine) -> int:
   """Show a policy in a browser, in a native window or as a film."""
-  from mjlab.cli._flags import replaced
-
   viewer = _viewer(wanted)
   if wanted.video is not None:
     output_file("--video", wanted.video, ".mp4", force=wanted.force)
   device = environments.resolve_device(wanted.device)
   found = find_policy(wanted, line)
-  num_envs = _NUM_ENVS[viewer] if wanted.num_envs is None else wanted.num_envs
-  cfg = replaced(environments.for_watching(found.parts), ("scene", "num_envs"), num_envs)
+  cfg = environments.for_watching(found.parts)
+  cfg.scene.num_envs = _NUM_ENVS[viewer] if wanted.num_envs is None else wanted.num_envs
+  cfg.seed = wanted.seed
   # Again, with the configuration of the run as the default.
-  wanted = line.parse(env=replaced(cfg, ("seed",), wanted.seed))
-  cfg = _without_terminations(wanted.env) if wanted.no_terminations else wanted.env
+  cfg = line.parse(env=cfg).env
+  if wanted.no_terminations:
+    kept = {name: term if term is not None and term.time_out else None for name, term in cfg.terminations.items()}
+    cfg.terminations = kept
   count = cfg.scene.num_envs
   print(f"{line.name}: {found}, {count} environment{'s' * (count != 1)} on {device}", flush=True)
   with found.acting(cfg, device) as (env, policy):
     policy, checkpoints = _guarded(found, policy)
     if wanted.video is not None:
       return _film(wanted, env, policy)
-    from mjlab_viewer import Playback
-
-    playback = Playback(env, policy)
+    playback = mjlab_viewer.Playback(env, policy)
     playback.speed = wanted.speed
     return (_native if viewer == "native" else _browser)(wanted, line.name, playback, checkpoints)
 
@@ -89,59 +87,44 @@ def _viewer(wanted: Arguments) -> str:
   return wanted.viewer
 
 
-def _without_terminations(cfg: Any) -> Any:
-  from mjlab.cli._flags import replaced
-
-  kept = {name: term if term is not None and term.time_out else None for name, term in cfg.terminations.items()}
-  return replaced(cfg, ("terminations",), kept)
-
-
-def _guarded(found: FoundPolicy, policy: Any) -> "tuple[Policy, CheckpointList | None]":
+def _guarded(found: FoundPolicy, policy: Any) -> "tuple[mjlab_viewer.Policy, mjlab_viewer.CheckpointList | None]":
   """Return a trained policy with a warning about actions that are not finite, and the checkpoints of its run."""
   source = found.source
   if source is None:
     return policy, None
-  from mjlab_rl import FinitePolicy
-
   text = "warning: actions of the policy are NaN or infinite, which the environment takes for zero"
-  finite = FinitePolicy(policy, lambda: print(text, flush=True))
+  finite = mjlab_rl.FinitePolicy(policy, lambda: print(text, flush=True))
   if source.suffix != ".pt":
     return finite, None
-  from mjlab_rl import checkpoints
-  from mjlab_viewer import CheckpointList
 
-  def load(name: str) -> "Policy":
+  def load(name: str) -> "mjlab_viewer.Policy":
     policy.load(source.parent / name)
     return finite
 
   def names() -> list[str]:
     return [path.name for path in checkpoints(source.parent)]
 
-  return finite, CheckpointList(names=names, load=load, loaded=source.name)
+  return finite, mjlab_viewer.CheckpointList(names=names, load=load, loaded=source.name)
 
 
-def _camera(wanted: Arguments, env: Any) -> "CameraCfg":
+def _camera(wanted: Arguments, env: Any) -> "mjlab_viewer.CameraCfg":
   """Return the camera of the environment's config, on the body of the command line if that names one."""
-  from mjlab_viewer import CameraCfg
-
   viewer = getattr(env.cfg, "viewer", None)
-  camera = CameraCfg() if viewer is None else viewer.camera()
+  camera = mjlab_viewer.CameraCfg() if viewer is None else viewer.camera()
   return camera if wanted.camera_body is None else replace(camera, body=wanted.camera_body, lookat=None)
 
 
-def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
-  from mjlab_viewer import BackgroundVideo, PictureCfg, Playback, SnapshotTaker
-
+def _film(wanted: Arguments, env: Any, policy: "mjlab_viewer.Policy") -> int:
   assert wanted.video is not None
   steps = math.ceil(1.0 / (_MOST_FPS * env.step_dt) - 1e-6)
   frame_dt = steps * env.step_dt
   frames = max(1, round(wanted.video_length / frame_dt))
-  picture = PictureCfg(width=wanted.video_width, height=wanted.video_height, camera=_camera(wanted, env))
+  picture = mjlab_viewer.PictureCfg(width=wanted.video_width, height=wanted.video_height, camera=_camera(wanted, env))
   worlds = range(min(env.num_envs, _MOST_TILES))
-  playback = Playback(env, policy)
+  playback = mjlab_viewer.Playback(env, policy)
   playback.pause()
-  taker = SnapshotTaker(env)
-  video = BackgroundVideo(wanted.video, 1.0 / frame_dt, env.sim.mj_model, picture)
+  taker = mjlab_viewer.SnapshotTaker(env)
+  video = mjlab_viewer.BackgroundVideo(wanted.video, 1.0 / frame_dt, env.sim.mj_model, picture)
   try:
     for frame in range(frames):
       for _ in range(steps if frame else 0):
@@ -166,17 +149,20 @@ def _film(wanted: Arguments, env: Any, policy: "Policy") -> int:
   return 0
 
 
-def _browser(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
+def _browser(
+  wanted: Arguments, name: str, playback: "mjlab_viewer.Playback", checkpoints: "mjlab_viewer.CheckpointList | None"
+) -> int:
   camera = _camera(wanted, playback.env)
   return browse(playback, host=wanted.host, port=wanted.port, label=name, checkpoints=checkpoints, camera=camera)
 
 
-def _native(wanted: Arguments, name: str, playback: "Playback", checkpoints: "CheckpointList | None") -> int:
-  from mjlab_viewer import NativeViewer
+def _native(
+  wanted: Arguments, name: str, playback: "mjlab_viewer.Playback", checkpoints: "mjlab_viewer.CheckpointList | None"
+) -> int:
   from mjlab_viewer.native.viewer import KEYS
 
   del name, checkpoints
-  with NativeViewer(playback, camera=_camera(wanted, playback.env)) as viewer:
+  with mjlab_viewer.NativeViewer(playback, camera=_camera(wanted, playback.env)) as viewer:
     print("keys of the window, besides those of MuJoCo (F1):")
     for key, action in KEYS.items():
       print(f"  {'SPACE' if key == ' ' else key:5}  {action}", flush=True)

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mjlab_rl
 import numpy as np
 import torch
 from matplotlib import colormaps, rc_context
@@ -16,7 +17,6 @@ from mjlab_dr import LogUniform
 
 if TYPE_CHECKING:
   from mjlab_dr import Distribution
-  from mjlab_rl import Evaluation
 
   from mjlab.inspection import AxisReport, EventReport, InertiaReport
 
@@ -45,12 +45,12 @@ def _figure(path: Path, width: float, height: float) -> Generator[Figure]:
     figure.savefig(temporary)
 
 
-def _with_unit(evaluation: "Evaluation", metric: str, gap: str) -> str:
+def _with_unit(evaluation: "mjlab_rl.Evaluation", metric: str, gap: str) -> str:
   unit = evaluation.units.get(metric, "")
   return f"{metric}{gap}[{unit}]" if unit else metric
 
 
-def plot_groups(evaluation: "Evaluation", path: Path) -> None:
+def plot_groups(evaluation: "mjlab_rl.Evaluation", path: Path) -> None:
   """Plot each metric of each group as a point with its interval."""
   groups = list(evaluation.groups)[:MOST_GROUPS]
   metrics = list(evaluation.groups["all"])
@@ -71,7 +71,7 @@ def plot_groups(evaluation: "Evaluation", path: Path) -> None:
     panels[0].set_ylim(len(groups) - 0.5, -0.5)
 
 
-def plot_curves(evaluation: "Evaluation", path: Path) -> None:
+def plot_curves(evaluation: "mjlab_rl.Evaluation", path: Path) -> None:
   """Plot each curve over the seconds of an episode, one line for each group."""
   with _figure(path, 8.0, 1.7 * len(evaluation.curves) + 0.4) as figure:
     panels = figure.subplots(len(evaluation.curves), sharex=True, squeeze=False)[:, 0]

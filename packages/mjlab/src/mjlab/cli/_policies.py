@@ -1,23 +1,25 @@
 """Policies that a command line selects: those of runs, exported networks, zeros and random numbers."""
 
 import contextlib
-import dataclasses
+import itertools
 from collections.abc import Callable, Generator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
+import mjlab_rl
+import mjlab_viewer
 from mjlab_core import UsageError
+from mjlab_core.errors import UnknownNameError
+from mjlab_rl import RslRlDistillationRunnerCfg, RunManifest, TaskCfg, find_checkpoint, load_run
 
 from mjlab.cli._command_line import TaskLine, built_env
-
-if TYPE_CHECKING:
-  from mjlab_rl import Policy, RunManifest, TaskCfg
 
 Agent = Literal["trained", "zero", "random"]
 """Source of actions: a trained policy, zeros, or random numbers."""
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class PolicyArguments:
   """Flags of commands with a policy."""
 
@@ -32,7 +34,7 @@ class PolicyArguments:
   """Folder of all runs."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class FoundPolicy:
   """Policy that a command line selects."""
 
@@ -46,13 +48,18 @@ class FoundPolicy:
     return f"{self.agent} actions" if self.source is None else str(self.source)
 
   @contextlib.contextmanager
-  def acting(self, cfg: Any, device: str) -> "Generator[tuple[Any, Policy]]":
+  def acting(self, cfg: Any, device: str) -> "Generator[tuple[Any, mjlab_rl.Policy]]":
     """Build an environment and the policy that acts in it, and close the environment at the end.
 
     Raises:
       MjlabError: The configuration cannot be built, or the file of the policy cannot be read or does not fit.
     """
-    with built_env(self.parts, without_teacher(cfg, self.parts.agent), device) as env:
+    agent = self.parts.agent
+    if isinstance(agent, RslRlDistillationRunnerCfg) and hasattr(cfg, "observations"):
+      # Without the groups that only a teacher reads.
+      unseen = set(itertools.chain(*agent.obs_groups.values())).difference(agent.obs_groups["student"])
+      cfg.observations = {name: group for name, group in cfg.observations.items() if name not in unseen}
+    with built_env(self.parts, cfg, device) as env:
       yield env, _policy(self, env)
 
 
@@ -65,8 +72,6 @@ def find_policy(wanted: PolicyArguments, line: TaskLine) -> FoundPolicy:
   """
   if wanted.agent != "trained":
     return FoundPolicy(agent=wanted.agent, source=None, parts=line.task)
-  from mjlab_core.errors import UnknownNameError
-  from mjlab_rl import find_checkpoint
   from mjlab_rl.bundle_policy import is_bundle
 
   source = Path(wanted.checkpoint)
@@ -87,8 +92,6 @@ def find_policy(wanted: PolicyArguments, line: TaskLine) -> FoundPolicy:
 
 def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -> "RunManifest | None":
   """Return the run of a policy; None, after a message, if there is no manifest or the run is of another task."""
-  from mjlab_rl import load_run
-
   try:
     run = load_run(source)
   except FileNotFoundError:
@@ -100,43 +103,22 @@ def manifest_of(source: Path, task: str, say: Callable[[str], object] = print) -
   return run
 
 
-def without_teacher(env: Any, agent: Any) -> Any:
-  """Return a configuration without the observation groups that only a teacher reads."""
-  from mjlab_rl import RslRlDistillationRunnerCfg
-
-  from mjlab.cli._flags import replaced
-
-  groups = getattr(env, "observations", None)
-  if not isinstance(agent, RslRlDistillationRunnerCfg) or groups is None:
-    return env
-  unseen = {group for seen in agent.obs_groups.values() for group in seen} - set(agent.obs_groups["student"])
-  return replaced(env, ("observations",), {name: group for name, group in groups.items() if name not in unseen})
-
-
-def _policy(found: FoundPolicy, env: Any) -> "Policy":
+def _policy(found: FoundPolicy, env: Any) -> "mjlab_rl.Policy":
   """Return the policy that acts in `env`."""
   source, parts = found.source, found.parts
   if source is None:
-    from mjlab_viewer import RandomPolicy, ZeroPolicy
-
-    kind = ZeroPolicy if found.agent == "zero" else RandomPolicy
+    kind = mjlab_viewer.ZeroPolicy if found.agent == "zero" else mjlab_viewer.RandomPolicy
     return kind(env.num_envs, env.action_manager.total_action_dim, env.device)
   from mjlab_rl.bundle_policy import is_bundle
 
   if is_bundle(source):
-    from mjlab_rl import BundlePolicy
-
-    return BundlePolicy(source, env)
+    return mjlab_rl.BundlePolicy(source, env)
   if source.suffix == ".onnx":
-    from mjlab_rl import OnnxPolicy
-
-    policy = OnnxPolicy(source, parts.agent, env)
+    policy = mjlab_rl.OnnxPolicy(source, parts.agent, env)
     # Fails before a viewer opens if the network does not fit.
     policy(env.get_observations())
     policy.reset(None)
     return policy
-  from mjlab_rl import CheckpointPolicy
-
-  trained = CheckpointPolicy(env, parts.agent, parts.runner)
+  trained = mjlab_rl.CheckpointPolicy(env, parts.agent, parts.runner)
   trained.load(source)
   return trained

@@ -1,8 +1,9 @@
 """`record-motion TASK --output FILE.npz [flags]`: record a policy as a motion clip."""
 
-import dataclasses
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import Any
 
+import mjlab_motions
 from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import NonNegative, Positive
 from mjlab_core.names import check_name
@@ -11,11 +12,8 @@ from mjlab import environments
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
 from mjlab.cli._policies import PolicyArguments, find_policy
 
-if TYPE_CHECKING:
-  from mjlab_motions import MotionRecorder
 
-
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PolicyArguments, TaskArguments):
   """All that can be given after the task."""
 
@@ -43,7 +41,6 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   output = output_file("--output", wanted.output, ".npz", force=wanted.force)
   found = find_policy(wanted, line)
   import torch
-  from mjlab_motions import check_quality, derived_arrays, save_motion
 
   # Again, with the configuration of the run as the default.
   wanted = line.parse(env=environments.for_watching(found.parts))
@@ -64,23 +61,21 @@ def run(wanted: Arguments, line: TaskLine) -> int:
           raise MjlabError(f"the episode ended after {(step + 1) * env.step_dt:.2f} s, before the clip did; {remedy}")
     about = f"mjlab, {line.name}, {found}, seed {wanted.seed}"
     motion = recorder.motion(output.stem, source=about, license=wanted.license)
-    print(check_quality(motion, recorder.kinematics).table())
-    save_motion(motion, output, derived_arrays(motion, recorder.kinematics))
+    print(mjlab_motions.check_quality(motion, recorder.kinematics).table())
+    mjlab_motions.save_motion(motion, output, mjlab_motions.derived_arrays(motion, recorder.kinematics))
   print(f"wrote {output}: {motion.num_frames} frames at {motion.rate:g} Hz")
   return 0
 
 
-def _recorder(env: Any, entity: str) -> "MotionRecorder":
-  from mjlab_motions import Kinematics, MotionRecorder
-
+def _recorder(env: Any, entity: str) -> "mjlab_motions.MotionRecorder":
   check_name("entity", entity, env.scene.entities, "the scene")
-  kinematics = Kinematics(env.sim.mj_model, env.scene[entity].prefix)
+  kinematics = mjlab_motions.Kinematics(env.sim.mj_model, env.scene[entity].prefix)
   if kinematics.joint_names != env.scene[entity].joint_names:
     raise MjlabError(f"entity '{entity}' has joints outside of its floating tree")
-  return MotionRecorder(kinematics, rate=1.0 / env.step_dt)
+  return mjlab_motions.MotionRecorder(kinematics, rate=1.0 / env.step_dt)
 
 
-def _add_frame(recorder: "MotionRecorder", env: Any, entity: str) -> None:
+def _add_frame(recorder: "mjlab_motions.MotionRecorder", env: Any, entity: str) -> None:
   """Record the pose of an entity in the first world, relative to the world's origin."""
   data = env.scene[entity].data
   recorder.add(data.root_link_pos_w[0] - env.scene.env_origins[0], data.root_link_quat_w[0], data.joint_pos[0])

@@ -1,9 +1,9 @@
 """`sweep TASK --space FILE --trials N`: trainings with other values, by Ray Tune."""
 
 import csv
-import dataclasses
 import math
 import time
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +20,7 @@ from mjlab.cli._sweep_space import Range, Space, Sweep, Trial, check, read_space
 _CONFIGS = ("--agent.", "--env.")
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 

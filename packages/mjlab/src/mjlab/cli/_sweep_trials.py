@@ -9,13 +9,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mjlab_rl
 import msgspec
 from mjlab_core import MjlabError
+from mjlab_rl import Console, TaskCfg
 
+from mjlab import environments
 from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, trial_flags
+from mjlab.registry import load_task
 
 if TYPE_CHECKING:
-  from mjlab_rl import TaskCfg
   from mjlab_rl.scalar_log import IterationReport
 
 # Statistics of use are not sent, and processes have the environment of this one, also under `uv run`.
@@ -151,10 +154,6 @@ def _result(found: Any, space: Space) -> Trial:
 
 def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
   """Train one trial, from the checkpoint that Ray gives it if there is one, in a folder of its name."""
-  from mjlab_rl import Console, train
-
-  from mjlab import environments
-
   wanted = msgspec.json.decode(sweep, type=Sweep)
   device = environments.resolve_device("cuda" if wanted.gpus else "cpu")
   task = _task_of(wanted, values, device)
@@ -178,7 +177,7 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
         # In pbt a trial may copy one that has ended.
         tune.report(copied)
         return
-    train(
+    mjlab_rl.train(
       task,
       name=wanted.task,
       make_env=environments.standard_env,
@@ -193,13 +192,10 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
 
 def _task_of(sweep: Sweep, values: dict[str, Scalar], device: str) -> "TaskCfg[Any]":
   """Return the task of a sweep with the values of a trial."""
-  from mjlab import environments
-  from mjlab.cli._flags import parse, replaced
-  from mjlab.registry import load_task
+  from mjlab.cli._flags import parse
 
   task = load_task(sweep.task)
-  num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
-  task = replaced(task, ("env", "scene", "num_envs"), num_envs)
+  task.env.scene.num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
   task = parse(task, [*sweep.flags, *trial_flags(values)])
   task.agent.save_interval, task.agent.logger = _interval(sweep), "none"
   return task

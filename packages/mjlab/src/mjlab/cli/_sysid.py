@@ -1,7 +1,7 @@
 """`sysid RECORD ... --task TASK --fit PATTERN ... [flags]`: fit parameters of a task's robot to its records."""
 
-import dataclasses
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
   from mjlab_sysid import Progress, Range, Record, Robot
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(CommonArguments):
   """All that can be given after the records."""
 
@@ -77,7 +77,7 @@ def run(wanted: Arguments, paths: list[str]) -> int:
   continued with --resume.
   """
   output = Path(wanted.output)
-  report = output.with_suffix(".html") if wanted.report is None else Path(wanted.report)
+  report = Path(wanted.report or output.with_suffix(".html"))
   for flag, path in (("--output", output), ("--report", report)):
     output_file(flag, path, force=wanted.force or wanted.resume)
   env = load_task(wanted.task).env

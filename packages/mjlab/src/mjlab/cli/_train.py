@@ -1,27 +1,28 @@
 """`train TASK [flags]`: build the task, apply the flags, train."""
 
 import contextlib
-import dataclasses
 import shlex
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from mjlab_core import UnknownNameError, UsageError
+import mjlab_rl
+from mjlab_core import UnknownNameError, UsageError, nearest
 from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
+from mjlab_rl import Console, RslRlDistillationRunnerCfg, find_checkpoint, with_agent
+from mjlab_rl.manifest import package_versions
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, Loaded, TaskArguments, TaskLine, as_usage, building, take
+from mjlab.cli._launch import launch, restarted_from
 from mjlab.cli._policies import manifest_of
 from mjlab.cli._watching import watching
 from mjlab.registry import list_tasks, load_task, task_file
 
-if TYPE_CHECKING:
-  from mjlab_rl import Console, RlEnv
 
-
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(TaskArguments):
   """All that can be given after the task."""
 
@@ -82,8 +83,6 @@ def _load(name: str, words: list[str]) -> Loaded:
   learner, flags = take(given, "--agent")
   task = load_task(name)
   if learner is not None:
-    from mjlab_rl.offpolicy import with_agent
-
     if resume is not None:
       raise UsageError("--agent and --resume exclude each other: a resumed run keeps its learner")
     with as_usage("--agent"):
@@ -118,11 +117,7 @@ train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or
 )
 def _train(wanted: Arguments, line: TaskLine) -> int:
   """Train a policy."""
-  from mjlab_rl import Console
   from mjlab_rl.ranks import Ranks
-
-  from mjlab.cli._flags import replaced
-  from mjlab.cli._launch import launch, restarted_from
 
   _check_combinations(wanted)
   if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:
@@ -138,17 +133,15 @@ def _train(wanted: Arguments, line: TaskLine) -> int:
   run = None if checkpoint is None else manifest_of(checkpoint, name, console.say)
   default = None
   if run is None:
-    default = environments.default_num_envs(device, task.env.scene.num_envs)
-    task = dataclasses.replace(task, env=replaced(task.env, ("scene", "num_envs"), default))
+    default = task.env.scene.num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
   else:
-    task = dataclasses.replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
+    task = replace(task, env=run.env, agent=run.agent, runner=run.runner, make_env=run.make_env)
   # Again, with the configuration of the run as the default.
   wanted = line.parse(agent=task.agent, env=task.env)
   if restarted is not None:
     wanted.resume, wanted.init_from, wanted.seed = str(restarted), None, None
   if wanted.seed is not None:
-    wanted.agent = replaced(wanted.agent, ("seed",), wanted.seed)
-    wanted.env = replaced(wanted.env, ("seed",), wanted.seed)
+    wanted.agent.seed = wanted.env.seed = wanted.seed
   teachers = _teachers(wanted, name)
   beginning = None if wanted.init_from is None else _checkpoint(wanted.init_from, wanted, wanted.agent.experiment_name)
   hint = " (--env.scene.num-envs sets it)" if wanted.env.scene.num_envs == default else ""
@@ -158,7 +151,7 @@ def _train(wanted: Arguments, line: TaskLine) -> int:
     if found:
       console.say(f"{what} {found}")
   options = {
-    "task": dataclasses.replace(task, env=wanted.env, agent=wanted.agent),
+    "task": replace(task, env=wanted.env, agent=wanted.agent),
     "device": device,
     "resume": checkpoint,
     "teacher": teachers,
@@ -187,12 +180,9 @@ def _run(
   """Train with viewers and films, and print the result; return the exit code."""
   opened = contextlib.ExitStack()
   watch = watching(wanted, name, console, opened)
-  # This import takes seconds, so it comes after the checks.
-  from mjlab_rl import train
-
   is_built = False
 
-  def on_ready(env: "RlEnv", directory: Path | None) -> Callable[[], None] | None:
+  def on_ready(env: "mjlab_rl.RlEnv", directory: Path | None) -> Callable[[], None] | None:
     nonlocal is_built
     is_built = True
     console.say(_environment_line(env))
@@ -203,7 +193,7 @@ def _run(
     return watch(env, directory) if is_watched and (wanted.viewer or wanted.video) else None
 
   try:
-    result = train(
+    result = mjlab_rl.train(
       name=name,
       make_env=environments.standard_env,
       log_root=wanted.log_root,
@@ -231,8 +221,6 @@ def _run(
 
 def _teachers(wanted: Arguments, task: str) -> list[Path]:
   """Return the checkpoints of the policies to imitate; none if the task imitates none, or if a run is resumed."""
-  from mjlab_rl import RslRlDistillationRunnerCfg
-
   agent = wanted.agent
   if not isinstance(agent, RslRlDistillationRunnerCfg):
     if wanted.teacher:
@@ -253,9 +241,6 @@ def _teachers(wanted: Arguments, task: str) -> list[Path]:
 
 def _checkpoint(named: str, wanted: Arguments, experiment: str, task: str | None = None) -> Path:
   """Return the checkpoint that `find_checkpoint` finds for a name, or that of the latest run of a task of this name."""
-  from mjlab_core import nearest
-  from mjlab_rl import find_checkpoint
-
   if named in list_tasks():
     named, experiment, task = "latest", load_task(named).agent.experiment_name, named
   try:
@@ -288,7 +273,6 @@ def _environment_line(env: Any) -> str:
 
 def _versions_line() -> str:
   import torch
-  from mjlab_rl.manifest import package_versions
 
   versions = dict(package_versions())
   backend = (

@@ -62,8 +62,8 @@ def run(wanted: Arguments, records: list[str]) -> int:
   Write a file for LearnedMlpActuatorCfg. Ctrl-C ends the training after the current epoch and writes the network; a
   second Ctrl-C writes nothing.
   """
-  output = Path(wanted.output) if wanted.output is not None else Path(records[0]).with_suffix(".pt")
-  plot = Path(wanted.plot) if wanted.plot is not None else output.parent / f"{output.stem}.png"
+  output = Path(wanted.output or Path(records[0]).with_suffix(".pt"))
+  plot = Path(wanted.plot or output.parent / f"{output.stem}.png")
   for flag, path in (("--output", output), ("--plot", plot)):
     if path in map(Path, records):
       raise UsageError(f"{flag}: {path} is one of the records")

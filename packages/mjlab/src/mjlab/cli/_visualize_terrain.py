@@ -1,14 +1,15 @@
 """`visualize-terrain [TYPE ...] [flags]`: a terrain in the browser, or in a picture."""
 
-import dataclasses
 import os
 import sys
 import textwrap
 from ctypes.util import find_library
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from mjlab_core.constraints import Items, PositiveCount
 from mjlab_core.names import check_name
+from mjlab_viewer import check_address
 
 from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, take
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PageArguments):
   """All that can be given after the types."""
 
@@ -67,7 +68,6 @@ def _show(wanted: Arguments, names: list[str]) -> int:
   if wanted.image is not None:
     return _write_image(cfg, wanted)
   from mjlab_terrain.view.page import serve
-  from mjlab_viewer import check_address
 
   check_address(wanted.host, wanted.port)
   serve(cfg, wanted.port, wanted.host)

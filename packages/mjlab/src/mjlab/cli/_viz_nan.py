@@ -1,9 +1,10 @@
 """`viz-nan FILE [flags]`: report on a NaN dump, with a check whether MuJoCo C diverges too."""
 
-import dataclasses
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import mjlab_viewer
 from mjlab_core.constraints import Positive
 
 from mjlab.cli._command_line import CommandLine, PageArguments, output_file
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
   from mjlab_sim import NanDump
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class Arguments(PageArguments):
   """All that can be given after the file."""
 
@@ -49,9 +50,7 @@ def run(wanted: Arguments, files: list[str]) -> int:
 
   replay = NanReplay(dump, in_mujoco_c=wanted.show == "mujoco-c")
   if wanted.video is not None:
-    from mjlab_viewer import OffscreenRenderer
-
-    with OffscreenRenderer(replay.sim.mj_model) as renderer:
+    with mjlab_viewer.OffscreenRenderer(replay.sim.mj_model) as renderer:
       replay.film(wanted.video, renderer, speed=wanted.speed)
     print(f"film: {wanted.video}")
   if wanted.viewer == "browser":

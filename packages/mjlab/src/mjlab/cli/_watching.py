@@ -7,30 +7,31 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mjlab_viewer
+from mjlab_rl import Console, IterationReport
+from mjlab_rl.console import duration
+from mjlab_viewer import check_address
+
 if TYPE_CHECKING:
-  from mjlab_rl import Console, IterationReport
-  from mjlab_viewer import Playback, Replay
   from mjlab_viewer.browser.training_panel import TrainingPanel
 
 
-def browse(playback: "Playback", *, host: str, port: int, label: str, **options: Any) -> int:
+def browse(playback: "mjlab_viewer.Playback", *, host: str, port: int, label: str, **options: Any) -> int:
   """Show an environment in the browser until Ctrl-C; return the exit code.
 
   Raises:
     MjlabError: The address or port is not available.
   """
-  from mjlab_viewer import BrowserViewer
-
-  with BrowserViewer(playback.env, playback=playback, host=host, port=port, label=label, **options) as viewer:
+  with mjlab_viewer.BrowserViewer(
+    playback.env, playback=playback, host=host, port=port, label=label, **options
+  ) as viewer:
     print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
     return until_interrupted(viewer.run)
 
 
-def browse_replay(replay: "Replay", speed: float = 1.0, **page: Any) -> int:
+def browse_replay(replay: "mjlab_viewer.Replay", speed: float = 1.0, **page: Any) -> int:
   """Play a replay in the browser again and again until Ctrl-C; `page` as for `browse`. Return the exit code."""
-  from mjlab_viewer import Playback, ZeroPolicy
-
-  playback = Playback(replay, ZeroPolicy(replay.num_envs, 0, replay.sim.device))
+  playback = mjlab_viewer.Playback(replay, mjlab_viewer.ZeroPolicy(replay.num_envs, 0, replay.sim.device))
   playback.speed = speed
   return browse(playback, **page)
 
@@ -56,17 +57,13 @@ def watching(
     MjlabError: The address of the viewer is not available.
   """
   if wanted.viewer:
-    from mjlab_viewer import check_address
-
     check_address(wanted.viewer_host, wanted.viewer_port)
 
   def watch(env: Any, directory: Path | None) -> Callable[[], None]:
-    from mjlab_viewer import BrowserViewer, TrainingVideo
-
     look = getattr(env.cfg, "viewer", None)
     calls: list[Callable[[], None]] = []
     if wanted.viewer:
-      viewer = BrowserViewer(
+      viewer = mjlab_viewer.BrowserViewer(
         env,
         host=wanted.viewer_host,
         port=wanted.viewer_port,
@@ -83,7 +80,7 @@ def watching(
     if wanted.video and directory is not None:
       interval, length = wanted.video_interval, wanted.video_length
       picture = None if look is None else look.picture()
-      video = TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
+      video = mjlab_viewer.TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
       opened.callback(video.close)
       calls.append(video.after_step)
 
@@ -97,8 +94,6 @@ def watching(
 
 
 def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:
-  from mjlab_rl.console import duration
-
   shown = ("Episode_Reward/", "Episode_Metrics/", "Metrics/")
   panel.show(
     iteration=report.iteration + 1,

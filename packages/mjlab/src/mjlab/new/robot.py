@@ -1,8 +1,8 @@
 """Package of a robot: entity config, model, picture and test from a model file."""
 
-import dataclasses
 import textwrap
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -21,7 +21,7 @@ STIFFENING = (1.5, 2.25, 3.5, 5.0)
 """Factors on guessed stiffness that are tried until the robot stands."""
 
 
-@dataclasses.dataclass(kw_only=True)
+@dataclass(kw_only=True)
 class NewRobot:
   """Robot that was read, with what was guessed about it."""
 

@@ -1,7 +1,7 @@
 """Servos of a robot: read from the actuators of its file, from effort limits, or from motor data of the user."""
 
-import dataclasses
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -32,7 +32,7 @@ ServoCfg = NativePositionActuatorCfg | NativeVelocityActuatorCfg
 """Servo of a joint, with empty `target_names_expr`."""
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Drives:
   """All that moves a robot."""
 
@@ -51,8 +51,8 @@ class Drives:
     for joint in self.guessed:
       servo = servos[joint]
       gains = {"stiffness": factor * servo.stiffness, "damping": factor**0.5 * servo.damping}  # type: ignore
-      servos[joint] = dataclasses.replace(servo, **gains)
-    return dataclasses.replace(self, servos=servos)
+      servos[joint] = replace(servo, **gains)
+    return replace(self, servos=servos)
 
   def configs(self) -> tuple[ActuatorCfg, ...]:
     """Return actuator configs; servos of equal numbers are one."""
@@ -60,8 +60,7 @@ class Drives:
     for joint, servo in self.servos.items():
       groups.setdefault(repr(servo), []).append(joint)
     made = [
-      dataclasses.replace(self.servos[joints[0]], target_names_expr=tuple(map(pattern, joints)))
-      for joints in groups.values()
+      replace(self.servos[joints[0]], target_names_expr=tuple(map(pattern, joints))) for joints in groups.values()
     ]
     return (*made, *self.kept)
 

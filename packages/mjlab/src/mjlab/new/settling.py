@@ -83,8 +83,7 @@ def _trial(
   root = model.body(f"robot/{spec.worldbody.bodies[0].name}").id
   axis, height = data.xmat[root].reshape(3, 3)[2].copy(), data.xpos[root, 2]
   reach = height - min(0.0, float(data.xpos[:, 2].min()))
-  for _ in range(round(SECONDS / model.opt.timestep)):
-    mujoco.mj_step(model, data)
+  mujoco.mj_step(model, data, nstep=round(SECONDS / model.opt.timestep))
   if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
     raise MjlabError("the robot diverges on its servos; give other --motors, or a smaller timestep in the file")
   mujoco.mj_forward(model, data)
