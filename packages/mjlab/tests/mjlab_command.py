@@ -1,4 +1,4 @@
-"""A command in a process of its own, as somebody runs it, for tests: whatever it does, nobody waits for it for ever."""
+"""Commands in separate processes, with a limit of the time that a test waits for them."""
 
 import os
 import re
@@ -15,11 +15,11 @@ from typing import NoReturn
 import pytest
 
 PATIENCE = 300.0
-"""Limit for anything a command does [s]: far beyond what the busiest machine takes, below the time limit of a test."""
+"""Limit of the time that a test waits [s]: above that of the busiest machine, below the time limit of a test."""
 
 
 class Command:
-  """A running command and what it has said; its two streams are one."""
+  """Running command and its output; its two streams are one."""
 
   def __init__(self, process: subprocess.Popen[bytes], output: Path) -> None:
     self._process = process
@@ -38,39 +38,35 @@ class Command:
     return self._process.pid
 
   def wait_for(self, pattern: str, seconds: float = PATIENCE) -> re.Match[str]:
-    """Waits until the command has said something; fails with what it said instead."""
-    end = time.monotonic() + seconds
-    while (found := re.search(pattern, self.said)) is None:
-      if self.exit_code is not None and re.search(pattern, self.said) is None:
-        pytest.fail(f"the command ended with exit code {self.exit_code} without saying {pattern!r}:\n{self.said}")
-      if time.monotonic() > end:
-        self._end(f"goes on: {pattern!r} was not said within {seconds:g} s")
-      time.sleep(0.05)
+    """Wait until the command has printed a pattern, and return the match."""
+    self.wait_until(lambda: re.search(pattern, self.said), seconds, f"{pattern!r} was not printed")
+    found = re.search(pattern, self.said)
+    assert found is not None
     return found
 
-  def wait_until(self, condition: Callable[[], object], seconds: float = PATIENCE) -> None:
-    """Waits until a condition is true, such as that of a file that the command writes."""
+  def wait_until(self, condition: Callable[[], object], seconds: float = PATIENCE, problem: str = "no result") -> None:
+    """Wait until a condition is true; fail with the output if it is false at the end of the command or of the time."""
     end = time.monotonic() + seconds
     while not condition():
-      if self.exit_code is not None:
-        pytest.fail(f"the command ended with exit code {self.exit_code}:\n{self.said}")
+      if self.exit_code is not None and not condition():
+        pytest.fail(f"the command ended with exit code {self.exit_code}, {problem}:\n{self.said}")
       if time.monotonic() > end:
-        self._end(f"goes on, and the condition was not met within {seconds:g} s")
+        self._end(f"continues: {problem} within {seconds:g} s")
       time.sleep(0.05)
 
   def interrupt(self, seconds: float = PATIENCE) -> str:
-    """Ctrl-C; returns what the command says from then to its end, which must be that of one that did its work."""
+    """Press Ctrl-C; return the output from then to the end, which must be exit code 0."""
     before = len(self.said)
     self._process.send_signal(signal.SIGINT)
     try:
       code = self._process.wait(seconds)
     except subprocess.TimeoutExpired:
-      self._end(f"goes on {seconds:g} s after Ctrl-C")
+      self._end(f"continues {seconds:g} s after Ctrl-C")
     assert code == 0, self.said
     return self.said[before:]
 
   def _end(self, why: str) -> NoReturn:
-    """Fails with what the command said and where each of its threads stands."""
+    """Fail with the output of the command and the stacks of its threads."""
     self._process.send_signal(signal.SIGABRT)
     try:
       self._process.wait(PATIENCE)
@@ -83,13 +79,13 @@ class Command:
 def running(
   code: str, *arguments: str, folder: Path | None = None, is_background: bool = False, **environment: str
 ) -> Generator[Command]:
-  """Runs Python code in a folder with arguments.
+  """Run Python code with arguments in a folder.
 
-  It is killed at the end if it still runs, so that a test that fails meanwhile does not wait for it. In the background
-  it begins as a shell without job control starts what stands before an `&`: with Ctrl-C ignored.
+  The process is killed at the end if it still runs, so that a failing test does not wait for it. In the background it
+  starts with Ctrl-C ignored, as a shell without job control starts a command before an `&`.
   """
   call = [sys.executable, "-X", "faulthandler", "-uc", code, *arguments]
-  # Else what the tests themselves were started with would be passed on.
+  # Otherwise the process inherits the handler of the tests.
   wanted = signal.SIG_IGN if is_background else signal.default_int_handler
   with tempfile.TemporaryDirectory() as elsewhere:
     output = Path(elsewhere) / "output"
@@ -105,5 +101,5 @@ def running(
     finally:
       process.kill()
       process.wait(PATIENCE)
-      # Shown beside what failed.
+      # Shown beside the failure.
       print(started.said)

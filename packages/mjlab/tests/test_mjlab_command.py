@@ -1,4 +1,4 @@
-"""What tests of commands stand on: whatever a command does, its test ends."""
+"""Tests of commands end, whatever the command does."""
 
 import pytest
 from mjlab_command import Command, running
@@ -6,35 +6,35 @@ from mjlab_command import Command, running
 STANDING = "print('begun'); import time; time.sleep(1000)"
 
 
-def test_a_test_that_fails_does_not_wait_for_the_command_that_it_started() -> None:
+def test_a_test_that_fails_does_not_wait_for_its_command() -> None:
   started: list[Command] = []
 
-  def failing() -> None:
+  def fail() -> None:
     with running(STANDING) as process:
       started.append(process)
       process.wait_for("begun")
       raise ZeroDivisionError
 
   with pytest.raises(ZeroDivisionError):
-    failing()
+    fail()
   assert started[0].exit_code is not None
 
 
-def test_a_command_that_does_not_say_what_is_waited_for_is_a_failure_that_tells_where_it_stands() -> None:
-  with running(STANDING) as process:
+@pytest.mark.parametrize(
+  ("code", "action", "message"),
+  [
+    (STANDING, lambda process: process.wait_for("ready", 1.0), "'ready' was not printed within 1 s:.*in <module>"),
+    ("print('begun'); exit(3)", lambda process: process.wait_for("ready"), r"exit code 3, 'ready' was not .*begun"),
+    (
+      f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); {STANDING}",
+      lambda process: process.interrupt(1.0),
+      "continues 1 s after Ctrl-C",
+    ),
+  ],
+  ids=["nothing printed", "ended", "not interrupted"],
+)
+def test_a_command_that_does_not_do_its_work_is_a_failure_with_its_output(code, action, message: str) -> None:
+  with running(code) as process:
     process.wait_for("begun")
-    with pytest.raises(pytest.fail.Exception, match=r"(?s)'ready' was not said within 1 s:.*line 1 in <module>"):
-      process.wait_for("ready", 1.0)
-
-
-def test_a_command_that_ends_early_is_a_failure_that_tells_what_it_said() -> None:
-  without = pytest.raises(pytest.fail.Exception, match=r"(?s)exit code 3 without saying 'ready':.*begun")
-  with running("print('begun'); exit(3)") as process, without:
-    process.wait_for("ready")
-
-
-def test_a_command_that_goes_on_after_ctrl_c_is_a_failure() -> None:
-  with running(f"import signal; signal.signal(signal.SIGINT, signal.SIG_IGN); {STANDING}") as process:
-    process.wait_for("begun")
-    with pytest.raises(pytest.fail.Exception, match="goes on 1 s after Ctrl-C"):
-      process.interrupt(1.0)
+    with pytest.raises(pytest.fail.Exception, match=f"(?s){message}"):
+      action(process)

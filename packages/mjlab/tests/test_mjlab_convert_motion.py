@@ -50,19 +50,14 @@ def test_a_robot_of_ones_own_stands_on_one_ground_and_wears_its_meshes(folder: P
   assert sorted(kind.name for kind in kinds) == ["mjGEOM_MESH", "mjGEOM_PLANE"]
 
 
-@pytest.mark.usefixtures("opengl")
-def test_a_film_is_written_once_and_not_over_another(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  words = [CLIP, "--crop", "1", "1.1", "--video", "squat.mp4"]
-  assert main(words) == 0
+@pytest.mark.usefixtures("opengl", "folder")
+def test_a_film_has_at_most_30_frames_per_second(capsys: pytest.CaptureFixture[str]) -> None:
+  assert main([CLIP, "--crop", "1", "1.1", "--video", "squat.mp4"]) == 0
   assert "filmed squat.mp4" in capsys.readouterr().out
   with av.open("squat.mp4") as container:
     # Six frames at 50 Hz; a film has 30 a second at most.
     assert sum(1 for _ in container.decode(video=0)) == 3
     assert container.streams.video[0].average_rate == 25
-  before = (folder / "squat.mp4").read_bytes()
-  assert main(words) == 2
-  assert "squat.mp4 exists; --force" in capsys.readouterr().err
-  assert (folder / "squat.mp4").read_bytes() == before
 
 
 def test_where_opengl_is_missing_one_line_says_so_and_nothing_is_written(
@@ -87,5 +82,3 @@ def test_a_preview_is_served_after_the_clip_is_written(
   monkeypatch.setattr(BrowserViewer, "run", interrupted)
   assert main([CLIP, "--crop", "1", "1.1", "--output", "squat.npz", "--preview", "--port", "8370"]) == 0
   assert "open http://localhost:83" in capsys.readouterr().out
-  assert main([CLIP, "--preview", "--port", "0"]) == 2
-  assert "port 0 does not exist" in capsys.readouterr().err

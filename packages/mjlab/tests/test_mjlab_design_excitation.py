@@ -8,16 +8,7 @@ from mjlab import cli
 from mjlab_sysid import read_records
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"
-WORDS = [
-  "--fit",
-  "armature:FR_calf_joint",
-  "--joints",
-  "FR_(thigh|calf)_joint",
-  "--seconds",
-  "1.5",
-  "--candidates",
-  "2",
-]
+WORDS = "--fit armature:FR_calf_joint --joints FR_(thigh|calf)_joint --seconds 1.5 --candidates 2".split()
 
 
 def test_commands_begin_and_end_in_the_pose_of_the_task(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -117,5 +117,3 @@ def test_a_task_that_cannot_be_built_says_why_in_a_line(
   offer(monkeypatch, mass=body_mass("pol", (0.1, 0.2)))
   assert inspect() == 1
   assert "pattern 'pol' matches no body. Nearest: pole" in capsys.readouterr().err
-  assert cli.inspect_dr(["Test-Randomized-Pendulum"]) == 2
-  assert f"Nearest: {TASK}" in capsys.readouterr().err
