@@ -21,7 +21,12 @@ def decode(kind: Any, data: Any, where: str = "") -> Any:
   """
   origin, args = typing.get_origin(kind), typing.get_args(kind)
   if origin in (typing.Union, types.UnionType):
-    return _decode_union(args, data, where)
+    # None comes first, so that the error is that of another kind.
+    *others, last = sorted(args, key=lambda kind: kind is not types.NoneType)
+    for other in others:
+      with contextlib.suppress(DeployError):
+        return decode(other, data, where)
+    return decode(last, data, where)
   if dataclasses.is_dataclass(kind) and isinstance(data, dict):
     return _decode_object(kind, data, where)
   if origin is dict and isinstance(data, dict):
@@ -47,13 +52,3 @@ def _decode_object(kind: Any, data: dict[str, Any], where: str) -> Any:
       check_known(f"{here}required field", field.name, data)
   prefix = f"{where}." if where else ""
   return kind(**{name: decode(hints[name], value, prefix + name) for name, value in data.items()})
-
-
-def _decode_union(kinds: tuple[Any, ...], data: Any, where: str) -> Any:
-  if data is None and types.NoneType in kinds:
-    return None
-  *others, last = (kind for kind in kinds if kind is not types.NoneType)
-  for kind in others:
-    with contextlib.suppress(DeployError):
-      return decode(kind, data, where)
-  return decode(last, data, where)

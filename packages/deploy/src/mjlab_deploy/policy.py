@@ -47,14 +47,13 @@ class Policy:
     self._has_start = EPISODE_START in given
     if self._has_start:
       wanted[EPISODE_START] = (1, 1)
-    if given != wanted:
-      name = next(name for name in sorted({*given, *wanted}) if given.get(name) != wanted.get(name))
-      raise DeployError(
-        f"policy.onnx: input {name[:60]!r} is {given.get(name, 'missing')}, bundle.json says {wanted.get(name)}"
-      )
-    promised = [ACTION, *(item.output for item in self.description.memories)]
-    promised += [item.name for item in self.description.targets]
-    for name in promised:
+    for name in sorted({*given, *wanted}):
+      if given.get(name) != wanted.get(name):
+        raise DeployError(
+          f"policy.onnx: input {name[:60]!r} is {given.get(name, 'missing')}, bundle.json says {wanted.get(name)}"
+        )
+    memories, targets = self.description.memories, self.description.targets
+    for name in (ACTION, *(item.output for item in memories), *(item.name for item in targets)):
       check_known("policy.onnx: output", name, graph.outputs)
     self.reset()
 

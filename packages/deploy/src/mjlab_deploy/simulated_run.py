@@ -63,7 +63,7 @@ class SimulatedRun:
       robot.data.qvel[:2] += self._rng.uniform(-_PUSH, _PUSH, 2)
       self._next_push += _PUSH_EVERY
     robot.advance()
-    if runner.phase == "damping" and runner.reason == "not started" and robot.read() is not None:
+    if runner.reason == "not started" and robot.read() is not None:
       runner.start()
     runner.tick(robot.time)
     if (state := robot.read()) is not None:

@@ -12,12 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from mjlab_deploy.errors import DeployError, check_known
+from mjlab_deploy.errors import check_known, reading
 from mjlab_deploy.other_formats import G1_MOTORS, QUADRUPED_MOTORS
 from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotIO, RobotState
 
 RATE = 500.0
 """Messages of state per second [Hz]."""
+_INCOMPLETE = (
+  "Unitree's SDK is missing or incomplete; install it from its repository, unitreerobotics/unitree_sdk2_python; the "
+  "package unitree-sdk2 lacks files"
+)
 _ENABLE, _GO_SERVO = 1, 0x01
 
 
@@ -136,14 +140,11 @@ def connect(model: str, network: str, joints: tuple[str, ...] | None = None) -> 
     DeployError: The SDK is not installed, or the robot is not known.
   """
   family = MODELS[check_known("robot", model, MODELS)].messages
-  try:
+  with reading(_INCOMPLETE, ImportError):
     channel: Any = importlib.import_module("unitree_sdk2py.core.channel")
     messages: Any = importlib.import_module(f"unitree_sdk2py.idl.{family}.msg.dds_")
     default: Any = importlib.import_module("unitree_sdk2py.idl.default")
     crc: Any = importlib.import_module("unitree_sdk2py.utils.crc").CRC()
-  except (ImportError, OSError) as error:  # OSError: the library for checksums is missing
-    remedy = "install it from its repository, unitreerobotics/unitree_sdk2_python; the package unitree-sdk2 lacks files"
-    raise DeployError(f"Unitree's SDK is missing or incomplete ({error}); {remedy}") from error
   channel.ChannelFactoryInitialize(0, network)
   publisher = channel.ChannelPublisher("rt/lowcmd", messages.LowCmd_)
   publisher.Init()

@@ -145,6 +145,9 @@ class Interval:
   count: int
   """Episodes."""
 
+  def __str__(self) -> str:
+    return f"{self.mean:.3g} ({self.low:.3g} .. {self.high:.3g})" if math.isfinite(self.mean) else "-"
+
 
 def bootstrap(values: torch.Tensor) -> Interval:
   """Return the mean of (n,) numbers with its 95 % percentile interval by the bootstrap (Efron, 1979), without NaNs."""
@@ -192,20 +195,12 @@ class Evaluation:
 
   def table(self) -> str:
     """Return a table with one line per group and one column per metric: the mean and its interval."""
-    names = dict.fromkeys(name for metrics in self.groups.values() for name in metrics)
-    head = ["", "episodes", *(f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in names)]
-    rows = []
-    for group, metrics in self.groups.items():
-      count = max((interval.count for interval in metrics.values()), default=0)
-      cells = [_cell(metrics[name]) if name in metrics else "-" for name in names]
-      rows.append([group, str(count), *cells])
-    return table(head, rows)
-
-
-def _cell(interval: Interval) -> str:
-  if not math.isfinite(interval.mean):
-    return "-"
-  return f"{interval.mean:.3g} ({interval.low:.3g} .. {interval.high:.3g})"
+    names = (f"{name} [{self.units[name]}]" if self.units.get(name) else name for name in self.groups["all"])
+    rows = [
+      [group, str(max(interval.count for interval in metrics.values())), *map(str, metrics.values())]
+      for group, metrics in self.groups.items()
+    ]
+    return table(["", "episodes", *names], rows)
 
 
 def summarize(

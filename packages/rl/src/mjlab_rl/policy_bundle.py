@@ -83,7 +83,8 @@ class BundleWriter:
     """
     graph = PolicyGraph(self._env, self._agent, network)
     if self._model is None or not refresh_weights(self._model, graph.network.state_dict()):
-      self._model = export_onnx(graph, graph.example(), graph.input_names, graph.output_names)
+      example = graph.read() | graph.start()
+      self._model = export_onnx(graph, tuple(example.values()), graph.input_names, graph.output_names)
     with AtomicWrite(folder) as made:
       made.mkdir()
       onnx.save(self._model, made / "policy.onnx")
@@ -254,17 +255,14 @@ def record(
   """
   graph = PolicyGraph(env, agent, network)
   rows: list[dict[str, torch.Tensor]] = []
-  memories: dict[str, torch.Tensor] = {}
-  start = True
+  memories, start = graph.start(), 1.0
   policy.reset(None)
   observations = env.get_observations()
   with torch.no_grad():
     for _ in range(steps):
-      readings = {name: reading.read()[:1].detach().cpu().float() for name, reading in graph.readings.items()}
-      if start:
-        memories = {name: torch.zeros(shape) for name, shape in graph.memories.items()}
-      outputs = graph.named(readings | memories | {EPISODE_START: torch.full((1, 1), float(start))})
-      memories = {name: outputs.pop(f"{name}/next") for name in memories}
+      readings = graph.read()
+      outputs = graph.named(readings | memories)
+      memories = {name: outputs.pop(f"{name}/next") for name in graph.memories} | {EPISODE_START: torch.zeros(1, 1)}
       _check_observations(graph, observations, outputs)
       # The trained network acts, not its graph.
       action = policy(observations)
@@ -273,12 +271,13 @@ def record(
         memories[LAST_ACTION] = action[:1].detach().cpu().float()
       row = {f"input/{name}": value for name, value in readings.items()} | outputs | {"action": action}
       row |= {"state/qpos": env.sim.data.qpos.double(), "state/qvel": env.sim.data.qvel.double()}
-      row["episode_start"] = torch.tensor([float(start)])
+      row["episode_start"] = torch.tensor([start])
       rows.append({name: value[0].detach().cpu().clone() for name, value in row.items()})
       observations, _, terminated, truncated, _ = env.step(action)
       dones = terminated | truncated
       policy.reset(dones)
-      start = bool(dones[0])
+      start = float(dones[0])
+      memories = graph.start() if start else memories
   return {name: torch.stack([row[name] for row in rows]).numpy() for name in rows[0]}
 
 

@@ -91,7 +91,8 @@ class PolicyGraph(nn.Module):
       if name not in ("obs", *self.groups):
         self._states[name] = f"memory/{name.removesuffix('_in')}"
         self.memories[self._states[name]] = tuple(value.shape)
-    self._needs_start = any(name.startswith(("memory/history/", "memory/target/")) for name in self.memories)
+    self.input_names = [*self.readings, *self.start()]
+    """Names of the inputs in their order."""
 
   def _term(self, env: Any, group: str, layout: Any) -> GraphTerm:
     manager = env.observation_manager
@@ -135,21 +136,20 @@ class PolicyGraph(nn.Module):
     return action
 
   @property
-  def input_names(self) -> list[str]:
-    """Names of the inputs in their order."""
-    return [*self.readings, *self.memories, *([EPISODE_START] if self._needs_start else [])]
-
-  @property
   def output_names(self) -> list[str]:
     """Names of the outputs in their order."""
     observations = [f"observation/{group}" for group in self.groups]
     return [*self.targets, ACTION, *observations, *(f"{name}/next" for name in self.memories)]
 
-  def example(self) -> tuple[torch.Tensor, ...]:
-    """Return the present readings of the first world, and empty memories."""
-    readings = [reading.read()[:1].detach().cpu().float() for reading in self.readings.values()]
-    memories = [torch.zeros(shape) for shape in self.memories.values()]
-    return (*readings, *memories, *([torch.ones(1, 1)] if self._needs_start else []))
+  def read(self) -> dict[str, torch.Tensor]:
+    """Return the present readings of the first world."""
+    return {name: reading.read()[:1].detach().cpu().float() for name, reading in self.readings.items()}
+
+  def start(self) -> dict[str, torch.Tensor]:
+    """Return the memories of the first step of an episode, and the input that marks it if it is needed."""
+    zeros = {name: torch.zeros(shape) for name, shape in self.memories.items()}
+    is_marked = any(name.startswith(("memory/history/", "memory/target/")) for name in zeros)
+    return zeros | ({EPISODE_START: torch.ones(1, 1)} if is_marked else {})
 
   def named(self, given: Tensors) -> dict[str, torch.Tensor]:
     """Return the outputs by name for inputs by name."""
