@@ -13,5 +13,5 @@ def bundle(tmp_path: Path) -> Generator[Bundle]:
   """The bundle of the pole, without a record."""
   from deploy_bundles import write_bundle
 
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as opened:
+  with open_bundle(write_bundle(tmp_path / "bundle")) as opened:
     yield opened

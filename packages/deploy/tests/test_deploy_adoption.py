@@ -1,18 +1,17 @@
-"""Networks of others run by their metadata."""
+"""Networks of other projects run by their metadata."""
 
 import json
 import os
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
-from deploy_bundles import DEFAULT, EFFORT, KD, KP, SCALE, SCENE
+from deploy_bundles import DEFAULT, EFFORT, KD, KP, SCALE, SCENE, SERVO, save_graph
 from mjlab_deploy import Policy
 from mjlab_deploy.adoption import adopted
 from mjlab_deploy.command import main
 from mjlab_deploy.simulated_run import SimulatedRun
-from onnx import TensorProto, helper, numpy_helper
+from onnx import helper
 
 METADATA = {
   "joint_names": "hinge",
@@ -31,17 +30,9 @@ WEIGHTS = np.array([[-0.4], [0.3], [-0.05], [0.1], [2.0], [0.0], [0.0]], np.floa
 def network(path: Path, output: str = "actions", /, **metadata: str | None) -> Path:
   """Write actions = obs @ WEIGHTS with metadata; None leaves out a key."""
 
-  def value(name: str, width: int) -> onnx.ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width])
-
-  graph = helper.make_graph(
-    [helper.make_node("MatMul", ["obs", "weights"], [output])],
-    "policy", [value("obs", len(WEIGHTS))], [value(output, 1)], [numpy_helper.from_array(WEIGHTS, "weights")],
-  )  # fmt: skip
-  model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
-  model.ir_version = 9
-  helper.set_model_props(model, {key: text for key, text in {**METADATA, **metadata}.items() if text is not None})
-  onnx.save(model, path)
+  known = {key: text for key, text in {**METADATA, **metadata}.items() if text is not None}
+  nodes = [helper.make_node("MatMul", ["obs", "weights"], [output])]
+  save_graph(path, nodes, {"obs": len(WEIGHTS)}, {output: 1}, known, weights=WEIGHTS)
   return path
 
 
@@ -49,8 +40,7 @@ def network(path: Path, output: str = "actions", /, **metadata: str | None) -> P
 def robot(tmp_path: Path) -> Path:
   """The pole under its own names, with a motor and a keyframe, which the policy's servo replaces."""
   motor = f'<motor name="motor" joint="hinge" forcerange="-{EFFORT} {EFFORT}" forcelimited="true"/>'
-  servo = next(line for line in SCENE.splitlines() if "<position" in line)
-  text = SCENE.replace(servo, motor).replace("robot/", "")
+  text = SCENE.replace(SERVO, motor).replace("robot/", "")
   text = text.replace("</mujoco>", '<keyframe><key name="home" qpos="0.1" ctrl="0"/></keyframe></mujoco>')
   path = tmp_path / "pole.xml"
   path.write_text(text)

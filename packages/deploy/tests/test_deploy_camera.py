@@ -1,13 +1,13 @@
-"""The loopback robot has cameras: images are drawn and sent with the states."""
+"""The loopback robot draws the images of its cameras and sends them with its states."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any
 
 import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, SCENE, write_bundle
-from mjlab_deploy import DeployError, Input, Origin, open_bundle, write_description
+from mjlab_deploy import DeployError, Input, Origin, open_bundle
 from mjlab_deploy.loopback import LoopbackRobot
 
 # A camera above the pole looks down on a red box; what its sensor sees is twice as wide as high.
@@ -15,22 +15,14 @@ EYE = """
     <camera name="robot/eye" pos="1 0 2" sensorsize=".02 .01" focal=".01 .01" resolution="8 8"/>
     <geom type="box" size=".2 .2 .5" pos="1 0 .5" rgba="1 0 0 1"/>
     <geom type="sphere" size=".1" pos="1 0 1.5" group="3"/>"""
-
-
-KINDS: dict[Literal["camera_rgb", "camera_depth"], tuple[int, ...]] = {
-  "camera_rgb": (3, 8, 8),
-  "camera_depth": (1, 8, 8),
-}
+KINDS: dict[Any, tuple[int, ...]] = {"camera_rgb": (3, 8, 8), "camera_depth": (1, 8, 8)}
 
 
 def make(folder: Path, camera: str = "robot/eye") -> Path:
   origins = {kind: Origin(quantity=kind, object_type="camera", name=camera, geom_groups=(0,)) for kind in KINDS}
   images = tuple(Input(name=kind, shape=shape, origin=origins[kind]) for kind, shape in KINDS.items())
   description = replace(DESCRIPTION, inputs=(*DESCRIPTION.inputs, *images))
-  write_bundle(folder, description, golden=False)
-  (folder / "scene.xml").write_text(SCENE.replace("<worldbody>", "<worldbody>" + EYE))
-  write_description(folder, description)
-  return folder
+  return write_bundle(folder, description, scene=SCENE.replace("<worldbody>", "<worldbody>" + EYE))
 
 
 def robot(folder: Path, **options: int) -> LoopbackRobot:

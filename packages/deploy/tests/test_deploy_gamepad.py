@@ -1,12 +1,12 @@
-"""A gamepad steers a run, and a plot shows what came of it."""
+"""A gamepad steers a run, and a plot shows its joints."""
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from deploy_bundles import write_bundle
 from matplotlib.image import imread
 from mjlab_deploy import Bundle
 from mjlab_deploy.command import main
@@ -16,7 +16,7 @@ from mjlab_deploy.simulated_run import SimulatedRun
 BUTTONS = [0] * 15
 
 
-def test_sticks_set_shares_of_the_range_and_a_button_lets_go(bundle: Bundle) -> None:
+def test_sticks_set_shares_of_the_range_and_a_button_stops(bundle: Bundle) -> None:
   run = SimulatedRun(bundle, command=[0.3])
   value = run.runner.command["command/angle"]
   reading: Any = None
@@ -36,29 +36,22 @@ def test_sticks_set_shares_of_the_range_and_a_button_lets_go(bundle: Bundle) -> 
   assert run.runner.reason == "stopped by the operator"
 
 
-class _Glfw:
-  """The functions of GLFW that read gamepads; the second device is one."""
-
-  JOYSTICK_1, JOYSTICK_LAST = 0, 3
-
-  def __init__(self, starts: bool) -> None:
-    self._starts = starts
-
-  def init(self) -> bool:
-    return self._starts
-
-  def joystick_is_gamepad(self, number: int) -> bool:
-    return number == 1
-
-  def get_gamepad_state(self, number: int) -> Any:
-    assert number == 1
-    return type("State", (), {"axes": (0.0, -1.0, 0.0, 0.0, -1.0, -1.0), "buttons": bytes(15)})
+def glfw(starts: bool) -> SimpleNamespace:
+  """Return the functions of GLFW that read gamepads; the second device is one."""
+  state = SimpleNamespace(axes=(0.0, -1.0, 0.0, 0.0, -1.0, -1.0), buttons=bytes(15))
+  return SimpleNamespace(
+    JOYSTICK_1=0,
+    JOYSTICK_LAST=3,
+    init=lambda: starts,
+    joystick_is_gamepad=lambda number: number == 1,
+    get_gamepad_state={1: state}.get,
+  )
 
 
 def test_the_first_gamepad_of_glfw_is_read(bundle: Bundle, monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setitem(sys.modules, "glfw", _Glfw(starts=False))
+  monkeypatch.setitem(sys.modules, "glfw", glfw(starts=False))
   assert connected_gamepad() is None
-  monkeypatch.setitem(sys.modules, "glfw", _Glfw(starts=True))
+  monkeypatch.setitem(sys.modules, "glfw", glfw(starts=True))
   gamepad = connected_gamepad()
   assert gamepad is not None
   run = SimulatedRun(bundle)
@@ -66,8 +59,8 @@ def test_the_first_gamepad_of_glfw_is_read(bundle: Bundle, monkeypatch: pytest.M
   np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
 
 
-def test_a_plot_shows_targets_and_positions(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  folder, picture = write_bundle(tmp_path / "bundle", golden=False), tmp_path / "joints.png"
+def test_a_plot_shows_targets_and_positions(bundle: Bundle, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  folder, picture = bundle.folder, tmp_path / "joints.png"
   assert main(["run", str(folder), "--seconds", "1.5", "--command", "0.4", "--plot", str(picture)]) == 0
   assert f"wrote {picture}" in capsys.readouterr().out
   pixels = 255.0 * imread(picture)[..., :3]

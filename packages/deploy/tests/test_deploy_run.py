@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from deploy_bundles import DESCRIPTION, SCENE, write_bundle
+from deploy_bundles import DESCRIPTION, HINGE, SCENE, SERVO, write_bundle
 from mcap.reader import make_reader
-from mjlab_deploy import Bundle, open_bundle, write_description
+from mjlab_deploy import Bundle, open_bundle
 from mjlab_deploy.arrays import read_arrays
 from mjlab_deploy.command import main
 from mjlab_deploy.simulated_run import SimulatedRun
 
 
-def test_a_run_is_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  folder, log = write_bundle(tmp_path / "bundle", golden=False), tmp_path / "log.npz"
-  words = ["run", str(folder), "--seconds", "2", "--command", "0.4", "--latency", "4ms", "--log", str(log)]
+def test_a_run_is_logged(bundle: Bundle, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  log = tmp_path / "log.npz"
+  words = ["run", str(bundle.folder), "--seconds", "2", "--command", "0.4", "--latency", "4ms", "--log", str(log)]
   assert main(words) == 0
   assert "ran 2.0 s; joints are" in capsys.readouterr().out
   rows = read_arrays(log, 2**24)
@@ -25,9 +25,9 @@ def test_a_run_is_logged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
   assert rows["position"][-1, 0] > 0.2
 
 
-def test_a_log_as_mcap_has_states_commands_and_what_the_operator_wanted(tmp_path: Path) -> None:
-  folder, log = write_bundle(tmp_path / "bundle", golden=False), tmp_path / "log.mcap"
-  assert main(["run", str(folder), "--seconds", "1.2", "--command", "0.4", "--log", str(log)]) == 0
+def test_a_log_as_mcap_has_states_commands_and_the_operators_command(bundle: Bundle, tmp_path: Path) -> None:
+  log = tmp_path / "log.mcap"
+  assert main(["run", str(bundle.folder), "--seconds", "1.2", "--command", "0.4", "--log", str(log)]) == 0
   found: dict[str, list[tuple[int, dict[str, object]]]] = {}
   with log.open("rb") as file:
     for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -49,51 +49,46 @@ def test_a_log_as_mcap_has_states_commands_and_what_the_operator_wanted(tmp_path
     (["--latency", "3h"], "invalid _seconds value"),
   ],
 )
-def test_a_mistake_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str) -> None:
-  folder = write_bundle(tmp_path / "bundle", golden=False)
+def test_a_mistake_is_reported(
+  bundle: Bundle, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
   try:
-    code = main(["run", str(folder), *words])
+    code = main(["run", str(bundle.folder), *words])
   except SystemExit as error:
     code = error.code
   assert code in (1, 2)
   assert message in capsys.readouterr().err
 
 
-def test_a_robot_that_is_let_go_ends_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-  (joint,) = DESCRIPTION.robot.joints
-  slow = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(replace(joint, velocity_limit=1e-3),)))
-  assert main(["run", str(write_bundle(tmp_path / "bundle", slow, golden=False)), "--seconds", "3"]) == 1
+def test_a_robot_in_damping_ends_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+  slow = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(replace(HINGE, velocity_limit=1e-3),)))
+  assert main(["run", str(write_bundle(tmp_path / "bundle", slow)), "--seconds", "3"]) == 1
   assert "let go after" in capsys.readouterr().out
 
 
 def test_motors_without_a_servo_are_driven_alike(tmp_path: Path) -> None:
   """Actuator models of the training, such as one with a torque-speed line, are motors in the scene."""
   reached = []
-  for name in ("servo", "motor"):
-    folder = write_bundle(tmp_path / name, golden=False)
-    if name == "motor":
-      servo = next(line for line in SCENE.splitlines() if "<position" in line)
-      (folder / "scene.xml").write_text(SCENE.replace(servo, '<motor name="robot/hinge" joint="robot/hinge"/>'))
-      write_description(folder, DESCRIPTION)
+  for actuator in (SERVO, '<motor name="robot/hinge" joint="robot/hinge"/>'):
+    folder = write_bundle(tmp_path / str(len(reached)), scene=SCENE.replace(SERVO, actuator))
     with open_bundle(folder) as bundle:
       run = SimulatedRun(bundle, command=[0.4])
-      run.run(2.0)
-      assert run.runner.phase == "policy", run.runner.reason
-      reached.append(run.robot.data.qpos[0])
-      run.runner.stop()
-      for _ in range(5):
-        run.robot.advance()
-      assert run.robot.is_damped
+    run.run(2.0)
+    assert run.runner.phase == "policy", run.runner.reason
+    reached.append(run.robot.data.qpos[0])
+    run.runner.stop()
+    for _ in range(5):
+      run.robot.advance()
+    assert run.robot.is_damped
   assert reached[1] == pytest.approx(reached[0], abs=1e-3)
   assert reached[0] > 0.2
 
 
 def test_keys_change_the_command_within_its_range(bundle: Bundle) -> None:
   run = SimulatedRun(bundle)
-  for _ in range(20):
-    run.press(265)
-  np.testing.assert_allclose(run.runner.command["command/angle"], 0.5)
-  run.press(264)
-  np.testing.assert_allclose(run.runner.command["command/angle"], 0.4)
+  for presses, key, wanted in ((20, 265, 0.5), (1, 264, 0.4)):
+    for _ in range(presses):
+      run.press(key)
+    np.testing.assert_allclose(run.runner.command["command/angle"], wanted)
   run.press(32)
   assert run.runner.reason == "stopped by the operator"

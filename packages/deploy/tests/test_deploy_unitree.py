@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from deploy_bundles import DESCRIPTION, write_bundle
+from deploy_bundles import DESCRIPTION, HINGE, SCENE, write_bundle
 from mjlab_deploy import DeployError, open_bundle
 from mjlab_deploy.loopback import LoopbackRobot
 from mjlab_deploy.robot_io import RobotCommand
@@ -36,15 +36,8 @@ def make_state(model: str, tick: int, position: np.ndarray, **imu: Any) -> Simpl
   motors = [SimpleNamespace(q=0.0, dq=0.0) for _ in range(35 if model == "g1" else 20)]
   for motor, value in zip(motors, position, strict=False):
     motor.q, motor.dq = float(value), float(-value)
-  state = SimpleNamespace(
-    tick=tick,
-    mode_machine=5,
-    imu_state=SimpleNamespace(quaternion=[1.0, 0.0, 0.0, 0.0], gyroscope=[0.1, 0.2, 0.3]),
-    motor_state=motors,
-    crc=0,
-  )
-  for name, value in imu.items():
-    setattr(state.imu_state, name, value)
+  measured = SimpleNamespace(**({"quaternion": [1.0, 0.0, 0.0, 0.0], "gyroscope": [0.1, 0.2, 0.3]} | imu))
+  state = SimpleNamespace(tick=tick, mode_machine=5, imu_state=measured, motor_state=motors, crc=0)
   state.crc = checksum(state)
   return state
 
@@ -89,48 +82,40 @@ def test_a_command_goes_to_the_motors_of_its_joints(model: str) -> None:
 
 
 def test_lost_messages_are_counted_by_the_tick_and_damaged_ones_left_out() -> None:
-  io = robot("go2", [])
+  io: Any = robot("go2", [])
   numbers = []
   # Ticks are milliseconds; two messages are lost before the third, and the counter overflows.
   for tick in (2**32 - 4, 2**32 - 2, 4, 6):
     io.receive(make_state("go2", tick, np.zeros(12)))
-    state = io.read()
-    assert state is not None
-    numbers.append(state.sequence)
+    numbers.append(io.read().sequence)
   assert np.diff(numbers).tolist() == [1, 3, 1]
   broken = make_state("go2", 8, np.zeros(12))
   broken.motor_state[0].q = 1.0
   io.receive(broken)
-  state = io.read()
-  assert state is not None
-  assert (state.sequence, io.num_damaged) == (numbers[-1], 1)
+  assert (io.read().sequence, io.num_damaged) == (numbers[-1], 1)
 
 
 def test_the_runner_drives_the_loopback_robot_through_unitrees_messages(tmp_path: Path) -> None:
   """The pole is the first motor of a Go2."""
-  (joint,) = DESCRIPTION.robot.joints
-  name = MODELS["go2"].motors[0]
-  # The joint has another name in the scene, so only the messages are renamed.
-  with open_bundle(write_bundle(tmp_path / "bundle", golden=False)) as bundle:
+  name, clock = MODELS["go2"].motors[0], [0.0]
+  renamed = replace(
+    DESCRIPTION,
+    robot=replace(DESCRIPTION.robot, joints=(replace(HINGE, name=name),)),
+    targets=(replace(DESCRIPTION.targets[0], joints=(name,)),),
+  )
+  scene = SCENE.replace("robot/hinge", f"robot/{name}")
+  with open_bundle(write_bundle(tmp_path / "bundle", renamed, scene=scene)) as bundle:
     simulated = LoopbackRobot(bundle)
-    clock = [0.0]
 
     def obey(message: Any) -> None:
       assert message.crc == checksum(message)
       motor = message.motor_cmd[0]
-      simulated.write(
-        RobotCommand(position=np.array([motor.q]), stiffness=np.array([motor.kp]), damping=np.array([motor.kd]))
-      )
+      position, stiffness, damping = (np.array([value]) for value in (motor.q, motor.kp, motor.kd))
+      simulated.write(RobotCommand(position=position, stiffness=stiffness, damping=damping))
 
     io = UnitreeRobot(
       "go2", make_command=make_command, checksum=checksum, send=obey, joints=(name,), clock=lambda: clock[0]
     )
-    renamed = replace(
-      bundle.description,
-      robot=replace(bundle.description.robot, joints=(replace(joint, name=name),)),
-      targets=(replace(bundle.description.targets[0], joints=(name,)),),
-    )
-    bundle.description = renamed
     runner = Runner(bundle, io, stand_time=0.2)
 
     def advance(seconds: float) -> None:
@@ -162,7 +147,7 @@ def test_the_runner_drives_the_loopback_robot_through_unitrees_messages(tmp_path
 
 
 @pytest.mark.parametrize("reason", [ModuleNotFoundError("No module named 'cyclonedds'"), OSError("crc_amd64.so")])
-def test_a_missing_sdk_is_said_with_a_remedy(monkeypatch: pytest.MonkeyPatch, reason: Exception) -> None:
+def test_a_missing_sdk_is_named_with_a_remedy(monkeypatch: pytest.MonkeyPatch, reason: Exception) -> None:
   def missing(name: str) -> Any:
     raise reason
 
@@ -171,7 +156,7 @@ def test_a_missing_sdk_is_said_with_a_remedy(monkeypatch: pytest.MonkeyPatch, re
     connect("g1", "eth0")
 
 
-def test_unknown_robots_and_motors_are_said() -> None:
+def test_unknown_robots_and_motors_are_named() -> None:
   with pytest.raises(DeployError, match="robot 'go1' does not exist; there are 'g1', 'go2'"):
     connect("go1", "eth0")
   with pytest.raises(DeployError, match="motor of the go2 'tail' does not exist"):

@@ -1,9 +1,7 @@
-"""Evaluation: first episodes, their terminal states, intervals and thresholds, against cases worked out by hand."""
+"""Evaluation: first episodes, their terminal states, intervals and thresholds, against manual results."""
 
 import json
 import math
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,19 +22,11 @@ LENGTHS = (1, 3, 2, 5)
 FAILS = (True, False, True, False)
 
 
-@dataclass
-class Actions:
-  total_action_dim: int = 1
-
-
 class Script:
   """Worlds that end after so many steps, and then again; the state is the step's number in the episode."""
 
   def __init__(self) -> None:
-    self.cfg = None
     self.num_envs, self.device, self.max_episode_length = 4, torch.device("cpu"), 5
-    self.action_manager = Actions()
-    self.output_dir: Path | None = None
     self.episode_length_buf = torch.zeros(4, dtype=torch.int64)
     self.terminal = torch.zeros(4)
     self.seeds: list[int | None] = []
@@ -59,26 +49,11 @@ class Script:
   def get_observations(self) -> dict[str, torch.Tensor]:
     return {"actor": self.episode_length_buf[:, None].float()}
 
-  def drain_log(self) -> dict[str, float]:
-    return {}
 
-  def state_dict(self) -> dict[str, Any]:
-    return {}
-
-  def load_state_dict(self, state: dict[str, Any]) -> None: ...
-
-  def load_progress(self, state: dict[str, Any]) -> None: ...
-
-  def close(self) -> None: ...
-
-
-def play(max_steps: int = 10) -> tuple[Script, Episodes]:
-  env = Script()
-
-  def policy(observations: Any) -> torch.Tensor:
-    return torch.full((4, 1), 100.0)
-
-  return env, play_first_episodes(env, policy, lambda: {"state": env.terminal}, max_steps=max_steps, seed=7)
+def play(max_steps: int = 10) -> tuple[Any, Episodes]:
+  env: Any = Script()
+  actions = torch.full((4, 1), 100.0)
+  return env, play_first_episodes(env, lambda _: actions, lambda: {"state": env.terminal}, max_steps=max_steps, seed=7)
 
 
 def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -> None:
@@ -95,8 +70,9 @@ def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -
   assert played.mean("state").tolist() == [10.0, 20.0, 15.0, 30.0]
 
 
-def test_how_episodes_begin_is_seen_before_any_of_them_is_over() -> None:
-  env, seen = Script(), []
+def test_begin_is_called_between_the_reset_and_the_first_step() -> None:
+  env: Any = Script()
+  seen = []
 
   def begin() -> None:
     seen.append((len(env.seeds), env.terminal.tolist()))
@@ -112,19 +88,19 @@ def test_an_episode_that_is_not_over_at_the_last_step_has_neither_ended_nor_fail
   assert played.length.tolist() == [1, 2, 2, 2]
 
 
-def test_a_policy_that_remembers_is_told_which_episodes_ended() -> None:
-  env, told = Script(), []
+def test_a_recurrent_policy_is_reset_where_episodes_ended() -> None:
+  env: Any = Script()
+  resets = []
 
-  @dataclass
   class Recurrent:
     def __call__(self, observations: Any) -> torch.Tensor:
       return torch.zeros(4, 1)
 
     def reset(self, dones: torch.Tensor) -> None:
-      told.append(dones.tolist())
+      resets.append(dones.tolist())
 
   play_first_episodes(env, Recurrent(), dict, max_steps=2)
-  assert told == [[True, False, False, False], [True, False, True, False]]
+  assert resets == [[True, False, False, False], [True, False, True, False]]
 
 
 def test_an_interval_is_that_of_the_mean() -> None:
@@ -137,7 +113,7 @@ def test_an_interval_is_that_of_the_mean() -> None:
   assert bootstrap(values) == interval
 
 
-def test_a_share_of_all_or_none_is_no_certainty() -> None:
+def test_a_share_of_all_or_none_has_an_interval() -> None:
   # Closed forms of the score interval: z^2 / (n + z^2) from either end, with z = 1.95996.
   none, all_of_them = wilson(torch.zeros(12)), wilson(torch.ones(12))
   edge = 1.959964**2 / (12 + 1.959964**2)
@@ -146,7 +122,7 @@ def test_a_share_of_all_or_none_is_no_certainty() -> None:
   assert wilson(torch.tensor([math.nan])).count == 0
 
 
-def test_an_interval_of_a_share_holds_it_as_often_as_it_says() -> None:
+def test_an_interval_of_a_share_contains_it_as_often_as_promised() -> None:
   for rate in (0.05, 0.5, 0.9):
     covered = 0.0
     for ones in range(61):
@@ -172,14 +148,14 @@ def evaluation() -> Evaluation:
   odd = torch.tensor([False, True, False, True])
   return summarize(
     {"success_rate": (~played.has_failed).double(), "state": played.mean("state"), "none": torch.full((4,), math.nan)},
-    {"odd": odd, "everybody": ~odd | odd, "even": ~odd},
+    {"odd": odd, "everything": ~odd | odd, "even": ~odd},
     units={"state": "m"},
     values={"state": played.values["state"]},
     steps_per_second=2,
   )
 
 
-def test_groups_are_summed_up_and_curves_are_means_over_who_still_plays() -> None:
+def test_groups_are_summarized_and_curves_are_means_over_worlds_that_still_play() -> None:
   result = evaluation()
   assert list(result.groups) == ["all", "odd", "even"]
   assert result.groups["all"]["success_rate"].mean == 0.5
@@ -194,7 +170,7 @@ def test_groups_are_summed_up_and_curves_are_means_over_who_still_plays() -> Non
   assert table[1].endswith("-")
 
 
-def test_what_is_written_is_strict_json() -> None:
+def test_an_evaluation_is_strict_json() -> None:
   data = json.loads(json.dumps(evaluation().to_json(), allow_nan=False))
   assert data["groups"]["even"]["state"]["mean"] == 12.5
   assert data["groups"]["all"]["none"]["mean"] is None
@@ -229,7 +205,7 @@ def test_a_threshold_is_reached_or_not(text: str, reached: bool) -> None:
     ("od:success_rate>=0.5", "group 'od' does not exist. Nearest: odd"),
   ],
 )
-def test_a_threshold_that_means_nothing_is_refused(text: str, message: str) -> None:
+def test_a_malformed_or_unknown_threshold_is_refused(text: str, message: str) -> None:
   with pytest.raises(MjlabError) as caught:
     Threshold.parse(text).check(evaluation())
   assert message in str(caught.value)
