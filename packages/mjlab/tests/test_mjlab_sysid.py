@@ -207,7 +207,7 @@ def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg,
     ({"actuators": {"gain": {}}}, "actuator parameter 'gain' does not exist"),
     ({"actuators": {"stiffness": {"knee": 1.0}}}, "no actuator config has the stiffness of 'knee'"),
     ({"delay": {"FR_calf_joint": 0.1}}, "delays must lie between 0 and 1000 timesteps of 0 s"),
-    ({"encoder_bias": {"FR_calf_joint": float("nan")}}, "values must be a number"),
+    ({"encoder_bias": {"FR_calf_joint": float("nan")}}, "encoder_bias must be a number"),
   ],
 )
 def test_a_wrong_overlay_is_refused_in_one_line(tmp_path: Path, content: object, message: str) -> None:

@@ -136,7 +136,7 @@ def test_default_state_of_ball_hinge_and_slide_joints_round_trips(make_worlds: M
 def test_ids_that_are_no_whole_numbers_are_refused(make_worlds: MakeWorlds, wrong) -> None:
   scene, _ = make_worlds(3, robot=FLOATING)
   scene["robot"].write_joint_position(random(3, 5), joint_ids=[0, 1])
-  with pytest.raises(ValueError, match="entity 'robot': write_joint_position: ids must be a whole number"):
+  with pytest.raises(ValueError, match="entity 'robot': joint position: ids must be a whole number"):
     scene["robot"].write_joint_position(random(3, 5), joint_ids=wrong)
 
 
@@ -145,7 +145,7 @@ def test_ids_count_as_they_are_now_and_are_not_kept(make_worlds: MakeWorlds) -> 
   robot, ids = scene["robot"], torch.tensor([0])
   robot.write_joint_velocity(torch.ones(3, 1), joint_ids=ids)
   ids.fill_(2)
-  views = robot._writes["write_joint_velocity"].views
+  views = robot._columns["joint velocity"]._views
   kept = len(views)
   for _ in range(9):
     robot.write_joint_velocity(torch.full((3, 1), 5.0), joint_ids=ids.clone())
@@ -173,16 +173,15 @@ def test_one_row_serves_all_worlds_and_any_other_batch_size_is_refused(make_worl
   robot = scene["robot"]
   robot.write_joint_velocity(random(1, 5))
   assert (robot.data.joint_vel == random(1, 5)).all()
-  for write, shape in (
-    (robot.write_root_state, (2, 13)),
-    (robot.write_root_pose, (3, 6)),
-    (robot.write_root_velocity, (4, 6)),
-    (robot.write_joint_position, (3, 5)),
+  for name, write, (rows, columns) in (
+    ("root state", robot.write_root_state, (2, 13)),
+    ("root pose", robot.write_root_pose, (3, 6)),
+    ("root velocity", robot.write_root_velocity, (4, 6)),
+    ("joint position", robot.write_joint_position, (3, 5)),
+    ("joint position target", robot.set_joint_position_target, (2, 6)),
   ):
-    with pytest.raises(ValueError, match=rf"entity 'robot': {write.__name__}: shape \({shape[0]}, {shape[1]}\)"):
-      write(random(*shape))
-  with pytest.raises(ValueError, match=r"entity 'robot': set_joint_position_target: shape \(2, 6\)"):
-    robot.set_joint_position_target(random(2, 6))
+    with pytest.raises(ValueError, match=rf"entity 'robot': {name}: shape \({rows}, {columns}\)"):
+      write(random(rows, columns))
 
 
 def test_what_an_entity_lacks_cannot_be_written(make_worlds: MakeWorlds) -> None:

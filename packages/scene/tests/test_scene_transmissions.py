@@ -204,9 +204,9 @@ def test_set_points_of_what_nothing_drives_are_refused_by_name(make_worlds: Make
   )
   scene, _ = make_worlds(2, robot=cfg, plain=CRANE)
   for name in ("robot", "plain"):
-    with pytest.raises(ValueError, match=f"entity '{name}': set_tendon_len_target: no actuator config drives a tendon"):
+    with pytest.raises(ValueError, match=f"entity '{name}': tendon position target: no actuator config drives a"):
       scene[name].set_tendon_len_target(torch.zeros(2, 3))
-    with pytest.raises(ValueError, match=f"entity '{name}': set_site_effort_target: no actuator config drives a site"):
+    with pytest.raises(ValueError, match=f"entity '{name}': site effort target: no actuator config drives a site"):
       scene[name].set_site_effort_target(torch.zeros(2, 7))
 
 
@@ -221,5 +221,5 @@ def test_set_points_of_chosen_tendons_reach_masked_worlds_only(make_worlds: Make
   robot.set_tendon_vel_target(torch.tensor([[1.0, 2.0]]), tendon_ids=ids, mask=torch.tensor([False, True]))
   assert torch.equal(robot.data.tendon_vel_target[0], before[0])
   assert robot.data.tendon_vel_target[1].tolist() == [2.0, 1.0, 0.0]
-  with pytest.raises(ValueError, match=r"set_tendon_vel_target: shape \(2, 2\) does not fit \(2, 3\)"):
+  with pytest.raises(ValueError, match=r"tendon velocity target: shape \(2, 2\) does not fit \(2, 3\)"):
     robot.set_tendon_vel_target(torch.zeros(2, 2))

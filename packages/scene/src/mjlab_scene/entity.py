@@ -25,26 +25,14 @@ from mjlab_scene.collision import CollisionCfg
 from mjlab_scene.edits import SpecEdit
 from mjlab_scene.entity_data import EntityData
 from mjlab_scene.entity_spec import EntitySpec
-from mjlab_scene.indexing import Columns, ColumnView, EntityIndexing, Mask, Selection, fitting, index_entity
+from mjlab_scene.indexing import ColumnView, EntityIndexing, Mask, Selection, fitting, index_entity
 from mjlab_scene.initial_state import InitialStateCfg
 from mjlab_scene.overlay import Overlay, read_overlay
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
 
-_TARGETS: dict[tuple[Transmission, Quantity], str] = {
-  ("joint", "position"): "set_joint_position_target",
-  ("joint", "velocity"): "set_joint_velocity_target",
-  ("joint", "effort"): "set_joint_effort_target",
-  ("tendon", "position"): "set_tendon_len_target",
-  ("tendon", "velocity"): "set_tendon_vel_target",
-  ("tendon", "effort"): "set_tendon_effort_target",
-  ("site", "position"): "set_site_pos_target",
-  ("site", "velocity"): "set_site_vel_target",
-  ("site", "effort"): "set_site_effort_target",
-}
-_NORMALISED = ("write_joint_position", "write_root_pose", "write_root_pose, orientation")
-"""Writes whose elements of four columns are quaternions, to be normalised."""
+
 _NO_JOINTS = "it has no joints"
 
 
@@ -144,7 +132,7 @@ class Entity(EntitySpec, Stateful):
     self.data = EntityData(
       sim, ix, self.initial_state, self.actuation, self._soft_joint_pos_limit_factor, self.overlay.encoder_bias
     )
-    self._writes = self._write_columns()
+    self._columns = self._writable()
     self.reset(torch.ones(sim.num_envs, dtype=torch.bool, device=sim.device))
 
   def __getattr__(self, name: str) -> Any:
@@ -197,7 +185,7 @@ class Entity(EntitySpec, Stateful):
     if not self.is_floating:
       self.write_root_pose(state, mask)
       return
-    state = self._checked("write_root_state", state, 13)
+    state = self._checked("root state", state, 13)
     self.write_root_pose(state[:, :7], mask)
     self.write_root_velocity(state[:, 7:], mask)
 
@@ -206,35 +194,36 @@ class Entity(EntitySpec, Stateful):
 
     A base that does not float has the pose of its mocap body.
     """
-    pose = self._checked("write_root_pose", pose, 7)
+    pose = self._checked("root pose", pose, 7)
     if self.is_floating:
-      self._write("write_root_pose", pose, mask)
+      self._columns["root pose"].write(pose, mask)
     else:
-      self._write("write_root_pose, position", pose[:, :3], mask)
-      self._write("write_root_pose, orientation", pose[:, 3:], mask)
+      self._columns["root position"].write(pose[:, :3], mask)
+      self._columns["root orientation"].write(pose[:, 3:], mask)
 
   def write_root_velocity(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._writes["write_root_velocity"].view()
-    velocity = view.checked(velocity)
-    angular = quat_apply_inverse(self.data.root_link_quat_w, velocity[:, 3:])
-    view.write(torch.cat((velocity[:, :3].expand_as(angular), angular), dim=-1), mask)
+    velocity, quat = self._checked_velocity(velocity)
+    angular = quat_apply_inverse(quat, velocity[:, 3:])
+    self._columns["root velocity"].write(torch.cat((velocity[:, :3], angular), dim=-1), mask)
 
   def write_root_velocity_b(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root link's origin [m/s] and angular velocity [rad/s], link frame, (num_envs, 6)."""
-    view = self._writes["write_root_velocity_b"].view()
-    velocity = view.checked(velocity)
-    linear = quat_apply(self.data.root_link_quat_w, velocity[:, :3])
-    view.write(torch.cat((linear, velocity[:, 3:].expand_as(linear)), dim=-1), mask)
+    velocity, quat = self._checked_velocity(velocity)
+    linear = quat_apply(quat, velocity[:, :3])
+    self._columns["root velocity"].write(torch.cat((linear, velocity[:, 3:]), dim=-1), mask)
 
   def write_root_com_velocity(self, velocity: torch.Tensor, mask: Mask = None) -> None:
     """Set linear velocity of the root's mass centre [m/s] and angular velocity [rad/s], world frame, (num_envs, 6)."""
-    view = self._writes["write_root_com_velocity"].view()
-    velocity = view.checked(velocity)
-    quat = self.data.root_link_quat_w
+    velocity, quat = self._checked_velocity(velocity)
     arm = quat_apply(quat, self.sim.model.body_ipos[:, self.indexing.root_body])
-    linear = velocity[:, :3] - torch.linalg.cross(velocity[:, 3:].expand_as(arm), arm)
-    view.write(torch.cat((linear, quat_apply_inverse(quat, velocity[:, 3:])), dim=-1), mask)
+    linear = velocity[:, :3] - torch.linalg.cross(velocity[:, 3:], arm)
+    self.write_root_velocity(torch.cat((linear, velocity[:, 3:]), dim=-1), mask)
+
+  def _checked_velocity(self, velocity: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the velocity of the root with one row per world, and the orientation of the root link."""
+    velocity = self._columns["root velocity"].of(None).checked(velocity)
+    return velocity.expand(self.num_envs, -1), self.data.root_link_quat_w
 
   # Joints
 
@@ -251,11 +240,11 @@ class Entity(EntitySpec, Stateful):
 
   def write_joint_position(self, position: torch.Tensor, mask: Mask = None, joint_ids: Selection = None) -> None:
     """Set joint positions, (num_envs, k) [rad or m]; a ball joint takes four columns, a quaternion, normalised."""
-    self._write("write_joint_position", position, mask, joint_ids)
+    self._columns["joint position"].of(joint_ids).write(position, mask)
 
   def write_joint_velocity(self, velocity: torch.Tensor, mask: Mask = None, joint_ids: Selection = None) -> None:
     """Set joint velocities, (num_envs, k) [rad/s or m/s]; a ball joint takes three columns."""
-    self._write("write_joint_velocity", velocity, mask, joint_ids)
+    self._columns["joint velocity"].of(joint_ids).write(velocity, mask)
 
   # Targets
 
@@ -267,43 +256,43 @@ class Entity(EntitySpec, Stateful):
       quantity: "position" (the length of a tendon), "velocity" or "effort".
       ids: Elements of that kind.
     """
-    return self._writes[_TARGETS[kind, quantity]].view(ids)
+    return self._columns[f"{kind} {quantity} target"].of(ids)
 
   def set_joint_position_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set position targets of joints, (num_envs, k) [rad or m]."""
-    self._write("set_joint_position_target", target, mask, joint_ids)
+    self.target_view("joint", "position", joint_ids).write(target, mask)
 
   def set_joint_velocity_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of joints, (num_envs, k) [rad/s or m/s]."""
-    self._write("set_joint_velocity_target", target, mask, joint_ids)
+    self.target_view("joint", "velocity", joint_ids).write(target, mask)
 
   def set_joint_effort_target(self, target: torch.Tensor, joint_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets of joints, (num_envs, k) [N m or N]."""
-    self._write("set_joint_effort_target", target, mask, joint_ids)
+    self.target_view("joint", "effort", joint_ids).write(target, mask)
 
   def set_tendon_len_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set length targets of tendons, (num_envs, k) [m or rad]."""
-    self._write("set_tendon_len_target", target, mask, tendon_ids)
+    self.target_view("tendon", "position", tendon_ids).write(target, mask)
 
   def set_tendon_vel_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of tendons, (num_envs, k) [m/s or rad/s]."""
-    self._write("set_tendon_vel_target", target, mask, tendon_ids)
+    self.target_view("tendon", "velocity", tendon_ids).write(target, mask)
 
   def set_tendon_effort_target(self, target: torch.Tensor, tendon_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets along tendons, (num_envs, k) [N or N m]."""
-    self._write("set_tendon_effort_target", target, mask, tendon_ids)
+    self.target_view("tendon", "effort", tendon_ids).write(target, mask)
 
   def set_site_pos_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set position targets of sites, along their gear from the reference site, (num_envs, k) [m or rad]."""
-    self._write("set_site_pos_target", target, mask, site_ids)
+    self.target_view("site", "position", site_ids).write(target, mask)
 
   def set_site_vel_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set velocity targets of sites along their gear, (num_envs, k) [m/s or rad/s]."""
-    self._write("set_site_vel_target", target, mask, site_ids)
+    self.target_view("site", "velocity", site_ids).write(target, mask)
 
   def set_site_effort_target(self, target: torch.Tensor, site_ids: Selection = None, mask: Mask = None) -> None:
     """Set effort targets of sites, times their gear the wrench, (num_envs, k) [N or N m]."""
-    self._write("set_site_effort_target", target, mask, site_ids)
+    self.target_view("site", "effort", site_ids).write(target, mask)
 
   # Forces and controls
 
@@ -318,61 +307,49 @@ class Entity(EntitySpec, Stateful):
 
     They act in every substep until they are overwritten or the world is reset.
     """
-    on_force, on_torque = (
-      self._writes[f"write_external_wrench, {part}"].view(body_ids) for part in ("forces", "torques")
-    )
-    forces, torques = on_force.checked(forces), on_torque.checked(torques)
-    on_force.write(forces, mask)
-    on_torque.write(torques, mask)
+    wrench = torch.cat(torch.broadcast_tensors(forces, torques), dim=-1)
+    self._columns["external wrench"].of(body_ids).write(wrench, mask)
 
   def set_ctrl(self, ctrl: torch.Tensor, mask: Mask = None) -> None:
     """Set the controls of all actuators of the entity, (num_envs, num_ctrl), in the model's order.
 
     For actuators without a config; controls of configured actuators are written again in the next substep.
     """
-    self._write("set_ctrl", ctrl, mask)
+    self._columns["control"].of(None).write(ctrl, mask)
 
   # Columns
 
-  def _write(self, method: str, value: torch.Tensor, mask: Mask, ids: Selection = None) -> None:
-    self._writes[method].view(ids).write(value, mask)
+  def _writable(self) -> dict[str, ColumnView]:
+    """Return the columns that methods write, by name in messages."""
+    data, ix, views = self.sim.data, self.indexing, dict[str, ColumnView]()
 
-  def _write_columns(self) -> dict[str, Columns]:
-    """Return the columns that each method writes."""
-    data, ix = self.sim.data, self.indexing
-    bodies = [range(i, i + 1) for i in ix.ids["body"].tolist()]
-    # Method, tensor, columns of each element, and the error if there are none.
-    rows: list[tuple[str, torch.Tensor, Sequence[range], str]] = [
-      ("write_joint_position", data.qpos, ix.qpos_of_joint, _NO_JOINTS),
-      ("write_joint_velocity", data.qvel, ix.qvel_of_joint, _NO_JOINTS),
-      ("write_external_wrench, forces", data.xfrc_applied[..., :3], bodies, ""),
-      ("write_external_wrench, torques", data.xfrc_applied[..., 3:], bodies, ""),
-      ("set_ctrl", data.ctrl, ix.ctrl_of_actuator, "it has no actuators"),
-    ]
+    def add(name: str, tensor: torch.Tensor, columns: Sequence[range], lack: str = "") -> None:
+      is_turn = name in ("joint position", "root pose", "root orientation")
+      views[name] = ColumnView(tensor, columns, f"{self.owner}: {name}", lack, quaternions=is_turn)
+
+    add("joint position", data.qpos, ix.qpos_of_joint, _NO_JOINTS)
+    add("joint velocity", data.qvel, ix.qvel_of_joint, _NO_JOINTS)
+    add("external wrench", data.xfrc_applied, [range(i, i + 1) for i in ix.ids["body"].tolist()])
+    add("control", data.ctrl, ix.ctrl_of_actuator, "it has no actuators")
     if ix.root_q is not None:
       start = ix.root_q.start
-      rows.append(("write_root_pose", data.qpos, (range(start, start + 3), range(start + 3, start + 7)), ""))
+      add("root pose", data.qpos, (range(start, start + 3), range(start + 3, start + 7)))
     elif ix.mocap is not None:
-      rows.append(("write_root_pose, position", data.mocap_pos[:, ix.mocap], (range(3),), ""))
-      rows.append(("write_root_pose, orientation", data.mocap_quat[:, ix.mocap], (range(4),), ""))
+      add("root position", data.mocap_pos[:, ix.mocap], (range(3),))
+      add("root orientation", data.mocap_quat[:, ix.mocap], (range(4),))
     velocity = () if ix.root_v is None else (range(ix.root_v.start, ix.root_v.stop),)
-    for method in ("write_root_velocity", "write_root_velocity_b", "write_root_com_velocity"):
-      rows.append((method, data.qvel, velocity, "its base does not float, so it has no velocity to set"))
-    for (kind, quantity), method in _TARGETS.items():
-      targets = self.actuation.views[kind, quantity]
+    add("root velocity", data.qvel, velocity, "its base does not float, so it has no velocity to set")
+    for (kind, quantity), targets in self.actuation.views.items():
+      columns, lack = [range(i, i + 1) for i in range(targets.shape[1])], f"no actuator config drives a {kind} of it"
       if kind == "joint":
-        rows.append((method, targets, ix.q_of_joint if quantity == "position" else ix.v_of_joint, _NO_JOINTS))
-      else:
-        driven = self.actuators is not None and self.actuators.driven(kind)
-        columns = [range(i, i + 1) for i in range(targets.shape[1])] if driven else []
-        rows.append((method, targets, columns, f"no actuator config drives a {kind} of it"))
-    return {
-      method: Columns(f"{self.owner}: {method}", tensor, columns, lack, method in _NORMALISED)
-      for method, tensor, columns, lack in rows
-    }
+        columns, lack = ix.q_of_joint if quantity == "position" else ix.v_of_joint, _NO_JOINTS
+      elif self.actuators is None or not self.actuators.driven(kind):
+        columns = []
+      add(f"{kind} {quantity} target", targets, columns, lack)
+    return views
 
-  def _checked(self, method: str, value: torch.Tensor, columns: int) -> torch.Tensor:
-    return fitting(value, (self.num_envs, columns), self.sim.dtype, f"{self.owner}: {method}")
+  def _checked(self, name: str, value: torch.Tensor, columns: int) -> torch.Tensor:
+    return fitting(value, (self.num_envs, columns), self.sim.dtype, f"{self.owner}: {name}")
 
 
 def _make_spec(cfg: EntityCfg, owner: str) -> mujoco.MjSpec:

@@ -14,7 +14,7 @@ from mjlab_core import Index, Stateful, as_index, select
 from mjlab_scene.actuation import Actuation
 from mjlab_scene.indexing import EntityIndexing
 from mjlab_scene.initial_state import InitialState
-from mjlab_scene.quantities import Frames, QuantityCache, Root, cached_quantity, forwarded
+from mjlab_scene.quantities import FrameQuantities, QuantityCache, Root, cached_quantity, forwarded, rows
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -90,15 +90,15 @@ class EntityData(Stateful):
   """Linear velocity of the root link at its origin, root link frame, (num_envs, 3) [m/s]."""
   root_link_ang_vel_b = forwarded("_root.ang_vel_b")
   """Angular velocity of the root link, root link frame, (num_envs, 3) [rad/s]."""
-  root_com_pose_w = forwarded("_root.com_pose")
+  root_com_pose_w = forwarded("_root.com.pose")
   """Pose of the root body's inertial frame, world frame, (num_envs, 7) [m, 1]."""
-  root_com_pos_w = forwarded("_root.com_pos")
+  root_com_pos_w = forwarded("_root.com.pos")
   """Position of the root body's centre of mass, world frame, (num_envs, 3) [m]."""
-  root_com_quat_w = forwarded("_root.com_quat")
+  root_com_quat_w = forwarded("_root.com.quat")
   """Orientation of the root body's inertial frame in the world, (num_envs, 4) [1]."""
-  root_com_vel_w = forwarded("_root.com_vel")
+  root_com_vel_w = forwarded("_root.com.vel")
   """Velocity of the root body at its centre of mass, world frame, (num_envs, 6) [m/s, rad/s]."""
-  root_com_lin_vel_w = forwarded("_root.com_lin_vel")
+  root_com_lin_vel_w = forwarded("_root.com.lin_vel")
   """Linear velocity of the root body at its centre of mass, world frame, (num_envs, 3) [m/s]."""
   root_com_ang_vel_w = forwarded("_root.ang_vel")
   """Angular velocity of the root body, world frame, (num_envs, 3) [rad/s]."""
@@ -180,10 +180,10 @@ class EntityData(Stateful):
     self._sim, self._ix = sim, indexing
     self._soft_factor = soft_joint_pos_limit_factor
     self._root = Root(sim, indexing)
-    self._links = Frames(sim, indexing, "body", "xpos")
-    self._coms = Frames(sim, indexing, "body", "xipos", "body_iquat")
-    self._geoms = Frames(sim, indexing, "geom", "geom_xpos", "geom_quat")
-    self._sites = Frames(sim, indexing, "site", "site_xpos", "site_quat")
+    self._links = FrameQuantities(sim, indexing.frames["body"], "xpos")
+    self._coms = FrameQuantities(sim, indexing.frames["body"], "xipos", "body_iquat")
+    self._geoms = FrameQuantities(sim, indexing.frames["geom"], "geom_xpos", "geom_quat")
+    self._sites = FrameQuantities(sim, indexing.frames["site"], "site_xpos", "site_quat")
 
     for (kind, quantity), targets in actuation.views.items():
       position = "len" if kind == "tendon" else "pos"
@@ -210,18 +210,12 @@ class EntityData(Stateful):
     self._default_soft_limits = self._soften(self.default_joint_pos_limits)
     self._descendants = torch.as_tensor(_descendants(sim.mj_model, indexing), dtype=sim.dtype, device=sim.device)
 
-    def view(array: torch.Tensor, columns: Index) -> torch.Tensor | None:
-      return array[:, columns] if isinstance(columns, slice) else None
-
-    self._joint_pos_view = view(sim.data.qpos, indexing.joint_q)
-    self._joint_vel_view = view(sim.data.qvel, indexing.joint_v)
-
   # Joints, tendons and actuators
 
   @property
   def joint_pos(self) -> torch.Tensor:
     """Position of each joint, a quaternion for a ball joint, (num_envs, num_joint_pos) [rad or m]."""
-    return select(self._sim.data.qpos, self._ix.joint_q) if self._joint_pos_view is None else self._joint_pos_view
+    return select(self._sim.data.qpos, self._ix.joint_q)
 
   @property
   def joint_pos_biased(self) -> torch.Tensor:
@@ -231,7 +225,7 @@ class EntityData(Stateful):
   @property
   def joint_vel(self) -> torch.Tensor:
     """Velocity of each joint, (num_envs, num_joint_vel) [rad/s or m/s]."""
-    return select(self._sim.data.qvel, self._ix.joint_v) if self._joint_vel_view is None else self._joint_vel_view
+    return select(self._sim.data.qvel, self._ix.joint_v)
 
   @cached_quantity
   def joint_acc(self) -> torch.Tensor:
@@ -301,7 +295,7 @@ class EntityData(Stateful):
   def qfrc_external(self) -> torch.Tensor:
     """Force on each joint of the wrenches applied to the entity's bodies, (num_envs, num_joint_vel) [N m or N]."""
     force, torque = self.body_external_force, self.body_external_torque
-    arm = self.body_com_pos_w - select(self._sim.data.subtree_com, self._ix.trees["body"])
+    arm = self.body_com_pos_w - rows(self._sim.data.subtree_com, self._ix.frames["body"].trees)
     # About the tree's centre of mass, where MuJoCo keeps its motion axes (rotation, then translation).
     wrench = torch.cat((torque + torch.linalg.cross(arm, force), force), dim=-1)
     carried = torch.einsum("vb,nbk->nvk", self._descendants, wrench)

@@ -1,8 +1,8 @@
 """Places of an entity's elements in the compiled model, and of its state in the simulation's arrays."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Annotated
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import mujoco
 import numpy as np
@@ -18,6 +18,17 @@ Selection = slice | torch.Tensor | Sequence[int] | None
 
 Mask = torch.Tensor | None
 """Worlds to write, bool (num_envs,); None for all."""
+
+
+class Frames(NamedTuple):
+  """Places of the frames of one kind, n of them; whole numbers for a single frame."""
+
+  ids: Index | int
+  """Ids of the elements."""
+  bodies: Index | int
+  """Body of each."""
+  trees: Index | int
+  """Top body of the kinematic tree of each; one row if they share one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +63,8 @@ class EntityIndexing:
   """Columns of each joint in `data.joint_vel`."""
   ctrl_of_actuator: tuple[range, ...]
   """Columns of each actuator in ctrl."""
-  bodies: dict[str, Index]
-  """Body of each body, geom and site, by kind."""
-  trees: dict[str, Index]
-  """Top body of the kinematic tree of each body, geom and site, by kind; one row if they share one."""
+  frames: dict[str, Frames]
+  """Places of bodies, geoms and sites, by kind; "root" is the root body."""
 
 
 def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.device) -> EntityIndexing:
@@ -82,9 +91,11 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
   qpos_of_joint, qvel_of_joint = (tuple(of[i] for i in ids["joint"]) for of in (q, v))
   bodies = {"body": ids["body"], "geom": model.geom_bodyid[ids["geom"]], "site": model.site_bodyid[ids["site"]]}
 
-  def tops(bodies: np.ndarray) -> Index:
-    trees = model.body_rootid[bodies]
-    return as_index(trees[:1] if len(set(trees.tolist())) == 1 else trees, device)
+  frames = {"root": Frames(root_body, root_body, int(model.body_rootid[root_body]))}
+  for kind, of_kind in bodies.items():
+    trees = model.body_rootid[of_kind]
+    shared = trees[:1] if len(set(trees.tolist())) == 1 else trees
+    frames[kind] = Frames(*(as_index(numbers, device) for numbers in (ids[kind], of_kind, shared)))
 
   return EntityIndexing(
     names=names,
@@ -101,8 +112,7 @@ def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.de
     q_of_joint=_side_by_side(qpos_of_joint),
     v_of_joint=_side_by_side(qvel_of_joint),
     ctrl_of_actuator=_ranges(model.actuator_ctrladr[ids["actuator"]], model.actuator_ctrlnum[ids["actuator"]]),
-    bodies={kind: as_index(ids, device) for kind, ids in bodies.items()},
-    trees={kind: tops(ids) for kind, ids in bodies.items()},
+    frames=frames,
   )
 
 
@@ -130,26 +140,46 @@ def _flat(ranges: Sequence[range]) -> list[int]:
 
 
 class ColumnView:
-  """Chosen columns of a tensor with one row per world, to be written in the worlds of a mask.
+  """Columns of a tensor with one row per world, to be written in the worlds of a mask.
 
   Args:
     tensor: Shape (num_envs, n, ...); its memory stays where it is.
-    columns: Columns of each chosen element.
+    columns: Columns of each element.
     owner: Beginning of error messages.
+    lack: Error if there are no elements.
     quaternions: True if four columns of an element are a quaternion, to be normalised.
   """
 
-  def __init__(self, tensor: torch.Tensor, columns: Sequence[range], owner: str, *, quaternions: bool = False) -> None:
-    self._tensor = tensor
+  def __init__(
+    self, tensor: torch.Tensor, columns: Sequence[range], owner: str, lack: str = "", *, quaternions: bool = False
+  ) -> None:
+    self._tensor, self._columns, self._owner, self._lack = tensor, columns, owner, lack
     self._index = as_index(_flat(columns), tensor.device)
     self._view = tensor[:, self._index] if isinstance(self._index, slice) else None
-    self._owner = owner
     places = _side_by_side(columns)
     self._quaternions = [slice(p.start, p.stop) for p in places if len(p) == 4] if quaternions else []
     self._shape = (tensor.shape[0], sum(map(len, columns)), *tensor.shape[2:])
+    # A kept selection keeps the id of a CUDA tensor from being given to another tensor.
+    self._views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = {}
+
+  def of(self, ids: Selection) -> "ColumnView":
+    """Return the columns of the elements `ids`. Each selection is resolved once, when it is first used.
+
+    Raises:
+      MjlabError: There are no elements, or an id is out of range.
+    """
+    if not self._columns:
+      raise MjlabError(f"{self._owner}: {self._lack}")
+    if ids is None:
+      return self
+    key = _selection_key(ids)
+    if key not in self._views:
+      columns = [self._columns[i] for i in _chosen_ids(ids, len(self._columns), self._owner)]
+      self._views[key] = (ids, ColumnView(self._tensor, columns, self._owner, quaternions=bool(self._quaternions)))
+    return self._views[key][1]
 
   def write(self, value: torch.Tensor, mask: Mask = None) -> None:
-    """Write `value` into the chosen columns.
+    """Write `value` into the columns.
 
     Args:
       value: Shape (num_envs, k, ...), or (1, k, ...) for all worlds, of any floating-point type.
@@ -190,38 +220,6 @@ def fitting(value: torch.Tensor, shape: tuple[int, ...], dtype: torch.dtype, own
   return value.to(dtype)
 
 
-@dataclass
-class Columns:
-  """Columns of a tensor that a method of an entity writes."""
-
-  owner: str
-  """Entity and method, the beginning of error messages."""
-  tensor: torch.Tensor
-  """Shape (num_envs, n, ...); its memory stays where it is."""
-  columns: Sequence[range]
-  """Columns of each element."""
-  lack: str
-  """Error if the entity has no such element."""
-  quaternions: bool
-  """True if four columns of an element are a quaternion, to be normalised."""
-  views: dict[tuple[object, ...], tuple[Selection, ColumnView]] = field(default_factory=dict)
-  """Views by selection. A kept selection keeps the id of a CUDA tensor from being given to another tensor."""
-
-  def view(self, ids: Selection = None) -> ColumnView:
-    """Return a view of the elements `ids`. Each selection is resolved once, when it is first used.
-
-    Raises:
-      MjlabError: The entity has no such element, or an id is out of range.
-    """
-    key = _selection_key(ids)
-    if key not in self.views:
-      if not self.columns:
-        raise MjlabError(f"{self.owner}: {self.lack}")
-      columns = [self.columns[i] for i in _chosen_ids(ids, len(self.columns), self.owner)]
-      self.views[key] = (ids, ColumnView(self.tensor, columns, self.owner, quaternions=self.quaternions))
-    return self.views[key][1]
-
-
 def _unit_quaternion(quaternion: torch.Tensor) -> torch.Tensor:
   """Return quaternions (..., 4) normalised; a zero one becomes the identity, as in MuJoCo."""
   norm = torch.linalg.vector_norm(quaternion, dim=-1, keepdim=True)
@@ -230,14 +228,12 @@ def _unit_quaternion(quaternion: torch.Tensor) -> torch.Tensor:
   return torch.where(norm > 1e-10, quaternion / norm, identity)
 
 
-def _chosen_ids(selection: Selection, count: int, owner: str) -> list[int]:
+def _chosen_ids(selection: slice | torch.Tensor | Sequence[int], count: int, owner: str) -> list[int]:
   """Return the ids in [0, count) that `selection` stands for.
 
   Raises:
     MjlabError: An id is not a whole number or not in range.
   """
-  if selection is None:
-    return list(range(count))
   if isinstance(selection, slice):
     return list(range(count)[selection])
   ids = selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)
@@ -245,13 +241,11 @@ def _chosen_ids(selection: Selection, count: int, owner: str) -> list[int]:
   return [i % count for i in ids]
 
 
-def _selection_key(selection: Selection) -> tuple[object, ...]:
+def _selection_key(selection: slice | torch.Tensor | Sequence[int]) -> tuple[object, ...]:
   """Return the key of a selection with its present values; those of a CUDA tensor are not read."""
   if isinstance(selection, slice):
     return (selection.start, selection.stop, selection.step)
   if isinstance(selection, torch.Tensor) and selection.is_cuda:
     return ("cuda", id(selection))
-  if selection is None:
-    return ()
   # In text, True differs from 1.
   return (repr(selection.tolist() if isinstance(selection, torch.Tensor) else list(selection)),)

@@ -8,7 +8,6 @@ joint, and `timestep` [s], the step of delays. Other keys are ignored.
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import json
 import math
@@ -25,6 +24,8 @@ from mjlab_core import (
   Finite,
   Items,
   MjlabError,
+  NonNegative,
+  check_fields,
   check_name,
   check_value,
   match_values_full,
@@ -61,6 +62,7 @@ MODEL_FIELDS: dict[str, tuple[str, str]] = {
 } | {"qpos0": ("joint", "ref"), "qpos_spring": ("joint", "springref")}
 """Kind of element and attribute in MjSpec of each field that an overlay may hold."""
 
+_KEYS = ("model", "actuators", "delay", "encoder_bias", "timestep")
 _ACTUATOR_FIELDS = ("stiffness", "damping", "effort_limit")
 _MAX_BYTES = 2**24
 
@@ -71,15 +73,15 @@ class Overlay:
 
   source: str
   """Name of the file, for messages."""
-  model: dict[str, dict[str, list[float]]] = field(default_factory=dict)
+  model: Mapping[str, Mapping[str, Finite | tuple[Finite, ...]]] = field(default_factory=dict)
   """Values of MjModel fields by element."""
-  actuators: dict[str, dict[str, float]] = field(default_factory=dict)
+  actuators: Mapping[str, Mapping[str, Finite]] = field(default_factory=dict)
   """Gains and limits by joint."""
-  delay: dict[str, float] = field(default_factory=dict)
+  delay: Mapping[str, NonNegative] = field(default_factory=dict)
   """Delay of targets by joint [s]."""
-  encoder_bias: dict[str, float] = field(default_factory=dict)
+  encoder_bias: Mapping[str, Finite] = field(default_factory=dict)
   """Reading minus truth by joint [rad or m]."""
-  timestep: float = 0.0
+  timestep: NonNegative = 0.0
   """Timestep of the simulation that the values are for [s]; only delays need it."""
 
   def check_timestep(self, timestep: float) -> None:
@@ -96,7 +98,11 @@ class Overlay:
     """
     if not self.model:
       return
-    given = [(name, element, numbers) for name, of in self.model.items() for element, numbers in of.items()]
+    given = [
+      (name, element, np.atleast_1d(values).astype(float).tolist())
+      for name, of in self.model.items()
+      for element, values in of.items()
+    ]
     before = spec.copy().compile()
     for name, element, numbers in given:
       kind, attribute = MODEL_FIELDS[name]
@@ -135,20 +141,22 @@ class Overlay:
     left = {(name, joint) for name, values in self.actuators.items() for joint in values}
     left |= {("delay", joint) for joint in self.delay}
     out = []
-    for given in actuators:
-      cfg = copy.copy(given)
+    for cfg in actuators:
       driven = cfg.match(joints) if cfg.transmission_type == "joint" else []
+      changes: dict[str, Any] = {}
       for name in _ACTUATOR_FIELDS:
         values = {joint: value for joint, value in self.actuators.get(name, {}).items() if joint in driven}
         if values and hasattr(cfg, name):
-          setattr(cfg, name, _by_joint(getattr(cfg, name), driven) | values)
+          present = match_values_full(getattr(cfg, name), driven, what="joint")
+          limits = [math.inf if value is None else value for value in present]
+          changes[name] = dict(zip(driven, limits, strict=True)) | values
           left -= {(name, joint) for joint in values}
       delays = [self.delay[joint] / self.timestep for joint in driven if joint in self.delay]
       if delays:
-        lags = math.floor(min(delays) + 0.05), math.ceil(max(delays) - 0.05)
-        cfg = dataclasses.replace(cfg, delay_min_lag=lags[0], delay_max_lag=max(lags))
+        shortest, longest = math.floor(min(delays) + 0.05), math.ceil(max(delays) - 0.05)
+        changes |= {"delay_min_lag": shortest, "delay_max_lag": max(shortest, longest)}
         left -= {("delay", joint) for joint in driven}
-      out.append(cfg)
+      out.append(dataclasses.replace(cfg, **changes))
     if left:
       name, joint = sorted(left)[0]
       raise MjlabError(f"{self.source}: no actuator config has the {name} of '{joint}'")
@@ -165,25 +173,18 @@ def read_overlay(path: str | Path) -> Overlay:
     content = json.loads(Path(path).read_text(encoding="utf-8"))
     if not isinstance(content, dict) or content.get("format") != "mjlab overlay 1":
       raise FileError("expected an object with format 'mjlab overlay 1'")
-    model = {
-      name: {element: _numbers(name, values) for element, values in elements.items()}
-      for name, elements in content.get("model", {}).items()
-    }
-    actuators = {name: _scalars(values) for name, values in content.get("actuators", {}).items()}
-    for name in actuators:
-      check_name("actuator parameter", printable(name, 80), _ACTUATOR_FIELDS)
-    delay, bias = (_scalars(content.get(name, {})) for name in ("delay", "encoder_bias"))
-    timestep = float(content.get("timestep", 0.0))
-    if delay and not (0.0 < timestep < math.inf and all(0.0 <= value < 1e3 * timestep for value in delay.values())):
-      raise FileError(f"delays must lie between 0 and 1000 timesteps of {timestep:g} s")
-    return Overlay(
-      source=f"overlay {printable(path, 300)}",
-      model=model,
-      actuators=actuators,
-      delay=delay,
-      encoder_bias=bias,
-      timestep=timestep,
-    )
+    given = {name: content[name] for name in _KEYS if name in content}
+    overlay = Overlay(source=f"overlay {printable(path, 300)}", **given)
+    check_fields(overlay, "overlay")
+    for what, table, known in (
+      ("field", overlay.model, MODEL_FIELDS),
+      ("actuator parameter", overlay.actuators, _ACTUATOR_FIELDS),
+    ):
+      for name in table:
+        check_name(what, printable(name, 80), known)
+    if any(value >= 1e3 * overlay.timestep for value in overlay.delay.values()):
+      raise FileError(f"delays must lie between 0 and 1000 timesteps of {overlay.timestep:g} s")
+    return overlay
 
 
 def compiled_values(model: Any, name: str, element: str) -> np.ndarray:
@@ -224,23 +225,3 @@ def _set(found: Any, kind: str, attribute: str, numbers: list[float], before: An
     getattr(found, attribute)[0] = numbers[0]
   else:
     setattr(found, attribute, numbers if np.ndim(getattr(found, attribute)) else numbers[0])
-
-
-def _numbers(name: str, values: Any) -> list[float]:
-  check_name("field", printable(name, 80), MODEL_FIELDS)
-  numbers = [float(value) for value in (values if isinstance(values, list) else [values])]
-  check_value(name, numbers, list[Finite])
-  return numbers
-
-
-def _scalars(values: Mapping[str, Any]) -> dict[str, float]:
-  out = {str(name): float(value) for name, value in values.items()}
-  check_value("values", out, dict[str, Finite])
-  return out
-
-
-def _by_joint(values: Any, driven: Sequence[str]) -> dict[str, float]:
-  """Return a config's value of each joint; none where there is no limit."""
-  if values is None:
-    return {}
-  return dict(zip(driven, match_values_full(values, driven, what="joint"), strict=True))

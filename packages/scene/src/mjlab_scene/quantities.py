@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, cast
 
 import torch
-from mjlab_core import quat_mul, select
+from mjlab_core import Index, quat_mul, select
 
-from mjlab_scene.indexing import EntityIndexing
+from mjlab_scene.indexing import EntityIndexing, Frames
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation
@@ -55,24 +55,24 @@ def forwarded(path: str) -> torch.Tensor:
   return cast("torch.Tensor", property(operator.attrgetter(path)))
 
 
-class Frames:
-  """Poses and velocities of all frames of one kind of an entity, world frame, n of them.
+def rows(tensor: torch.Tensor, places: Index | int) -> torch.Tensor:
+  """Return the rows of elements, (num_envs, n, ...), or (num_envs, ...) of a single one."""
+  return tensor[:, places] if isinstance(places, int) else select(tensor, places)
+
+
+class FrameQuantities:
+  """Poses and velocities of frames of an entity, world frame.
 
   Args:
     sim: The simulation.
-    indexing: Places of the entity's elements.
-    kind: "body", "geom" or "site".
+    frames: Places of n frames, or of a single one, whose quantities lack the dimension n.
     position: Array of positions in `sim.data`.
     turn: Model field with the orientation of a frame in its body; None for the frame of the body itself.
   """
 
-  def __init__(
-    self, sim: Simulation, indexing: EntityIndexing, kind: str, position: str, turn: str | None = None
-  ) -> None:
+  def __init__(self, sim: Simulation, frames: Frames, position: str, turn: str | None = None) -> None:
     self.cache = QuantityCache(sim)
-    self._sim = sim
-    self._index, self._body, self._tree = indexing.index[kind], indexing.bodies[kind], indexing.trees[kind]
-    self._position, self._turn = position, turn
+    self._sim, self._frames, self._position, self._turn = sim, frames, position, turn
 
   @cached_quantity
   def pose(self) -> torch.Tensor:
@@ -82,13 +82,13 @@ class Frames:
   @cached_quantity
   def pos(self) -> torch.Tensor:
     """Position of the origin, (num_envs, n, 3) [m]."""
-    return select(getattr(self._sim.data, self._position), self._index)
+    return rows(getattr(self._sim.data, self._position), self._frames.ids)
 
   @cached_quantity
   def quat(self) -> torch.Tensor:
     """Orientation, (num_envs, n, 4) [1]."""
-    body = select(self._sim.data.xquat, self._body)
-    return body if self._turn is None else quat_mul(body, select(getattr(self._sim.model, self._turn), self._index))
+    body = rows(self._sim.data.xquat, self._frames.bodies)
+    return body if self._turn is None else quat_mul(body, rows(getattr(self._sim.model, self._turn), self._frames.ids))
 
   @cached_quantity
   def vel(self) -> torch.Tensor:
@@ -101,14 +101,14 @@ class Frames:
 
     MuJoCo gives the velocity of each body at the centre of mass of its kinematic tree.
     """
-    twist = select(self._sim.data.cvel, self._body)
-    arm = self.pos - select(self._sim.data.subtree_com, self._tree)
+    twist = rows(self._sim.data.cvel, self._frames.bodies)
+    arm = self.pos - rows(self._sim.data.subtree_com, self._frames.trees)
     return twist[..., 3:] + torch.linalg.cross(twist[..., :3], arm)
 
   @cached_quantity
   def ang_vel(self) -> torch.Tensor:
     """Angular velocity, (num_envs, n, 3) [rad/s]."""
-    return select(self._sim.data.cvel, self._body)[..., :3]
+    return rows(self._sim.data.cvel, self._frames.bodies)[..., :3]
 
 
 class Root:
@@ -120,6 +120,7 @@ class Root:
   def __init__(self, sim: Simulation, indexing: EntityIndexing) -> None:
     self.cache = QuantityCache(sim)
     self._sim, self._body = sim, indexing.root_body
+    self.com = FrameQuantities(sim, indexing.frames["root"], "xipos", "body_iquat")
     zeros = torch.zeros((sim.num_envs, 6), dtype=sim.dtype, device=sim.device)
     self.lin_vel, self.ang_vel_b = zeros[:, :3], zeros[:, 3:]
     self._pose: torch.Tensor | None = None
@@ -161,35 +162,9 @@ class Root:
     return self._into_root(self.lin_vel)
 
   @cached_quantity
-  def com_pose(self) -> torch.Tensor:
-    """Pose of the inertial frame, world frame, (num_envs, 7) [m, 1]."""
-    return torch.cat((self.com_pos, self.com_quat), dim=-1)
-
-  @cached_quantity
-  def com_pos(self) -> torch.Tensor:
-    """Position of the centre of mass, world frame, (num_envs, 3) [m]."""
-    return self._sim.data.xipos[:, self._body]
-
-  @cached_quantity
-  def com_quat(self) -> torch.Tensor:
-    """Orientation of the inertial frame in the world, (num_envs, 4) [1]."""
-    return quat_mul(self._sim.data.xquat[:, self._body], self._sim.model.body_iquat[:, self._body])
-
-  @cached_quantity
-  def com_vel(self) -> torch.Tensor:
-    """Velocity at the centre of mass, world frame, (num_envs, 6) [m/s, rad/s]."""
-    return torch.cat((self.com_lin_vel, self.ang_vel), dim=-1)
-
-  @cached_quantity
-  def com_lin_vel(self) -> torch.Tensor:
-    """Linear velocity at the centre of mass, world frame, (num_envs, 3) [m/s]."""
-    arm = self._sim.data.xipos[:, self._body] - self._sim.data.xpos[:, self._body]
-    return self.lin_vel + torch.linalg.cross(self.ang_vel, arm)
-
-  @cached_quantity
   def com_lin_vel_b(self) -> torch.Tensor:
     """Linear velocity at the centre of mass, root link frame, (num_envs, 3) [m/s]."""
-    return self._into_root(self.com_lin_vel)
+    return self._into_root(self.com.lin_vel)
 
   @cached_quantity
   def projected_gravity(self) -> torch.Tensor:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -107,7 +108,7 @@ class Scene(Stateful):
       self.spec.stat.extent = cfg.extent
     self.terrain: Terrain | None = None
     """Facts about the terrain; None without one."""
-    with self._part(TERRAIN):
+    with self._attempt(TERRAIN):
       self.terrain = None if cfg.terrain is None else cfg.terrain.add_to(self.spec)
     self.terrain_levels: TerrainLevels | None = None
     """Tile of each world, once initialized; None on a plane."""
@@ -120,6 +121,8 @@ class Scene(Stateful):
     """Entities by name."""
     self.sensors: dict[str, Sensor[Any]] = StatefulDict(self._add_sensors(decimation))
     """Sensors by name."""
+    terrain = {} if self.terrain is None else {TERRAIN: self.terrain}
+    self._parts = ChainMap[str, Any](terrain, self.sensors, self.entities)
     apply_edits(self.spec, cfg.edits, "scene")
     if cfg.spec_fn is not None:
       cfg.spec_fn(self.spec)
@@ -131,7 +134,7 @@ class Scene(Stateful):
   def _attach_entities(self) -> dict[str, Entity]:
     entities: dict[str, Entity] = {}
     for name, cfg in self.cfg.entities.items():
-      with self._part(name):
+      with self._attempt(name):
         entities[name] = cfg.build(name)
     # Before the first is attached: an attached spec must agree with the scene then, and when the scene is compiled.
     merge_options(self.spec, {entity.owner: entity.spec for entity in entities.values()})
@@ -146,19 +149,19 @@ class Scene(Stateful):
     for name, cfg in self.cfg.sensors.items():
       if name in found and getattr(cfg, "element", None) != name:
         raise MjlabError(f"scene: sensor '{name}' exists already in an entity's model; choose another name")
-      with self._part(name):
+      with self._attempt(name):
         sensors[name] = cfg.build(name)
     for name in found:
       if name not in claimed and name not in sensors:
         sensors[name] = BuiltinSensorCfg(element=name).build(name)
     for name, sensor in list(sensors.items()):
       sensor.decimation = decimation
-      with self._part(name, sensors):
+      with self._attempt(name, sensors):
         sensor.edit_spec(self.spec, self.entities)
     return sensors
 
   @contextmanager
-  def _part(self, name: str, parts: dict[str, Any] | None = None) -> Generator[None]:
+  def _attempt(self, name: str, parts: dict[str, Any] | None = None) -> Generator[None]:
     """Note the mistake of a part if mistakes are collected, and remove the part from `parts`."""
     try:
       yield
@@ -196,12 +199,12 @@ class Scene(Stateful):
       rng = torch.Generator(sim.device).manual_seed(0) if rng is None else rng
       self.terrain_levels = TerrainLevels(self.terrain, self.env_origins, self.cfg.max_init_terrain_level, rng)
     for name, entity in list(self.entities.items()):
-      with self._part(name, self.entities):
+      with self._attempt(name, self.entities):
         entity.initialize(sim, rng=rng)
     self._actuated = [entity.actuation for entity in self.entities.values() if entity.is_actuated]
     for name, sensor in list(self.sensors.items()):
       sensor.rng = rng
-      with self._part(name, self.sensors):
+      with self._attempt(name, self.sensors):
         sensor.initialize(sim, self.entities)
     everywhere = torch.ones(self.num_envs, dtype=torch.bool, device=sim.device)
     self.reset(everywhere)
@@ -245,21 +248,14 @@ class Scene(Stateful):
 
   def __getitem__(self, name: str) -> Any:
     """Return the entity, sensor or terrain of this name; UnknownNameError lists the existing names."""
-    if name in self.entities:
-      return self.entities[name]
-    if name in self.sensors:
-      return self.sensors[name]
-    if name == TERRAIN and self.terrain is not None:
-      return self.terrain
+    if name in self._parts:
+      return self._parts[name]
     error = UnknownNameError(unknown("entity or sensor", name, list(self), "scene"))
     raise as_consequence(error) if {name, name.split("/")[0]} & self.missing else error
 
   def __contains__(self, name: object) -> bool:
-    return name in list(self)
+    return name in self._parts
 
   def __iter__(self) -> Iterator[str]:
     """Names of all entities and sensors, and "terrain" if there is one."""
-    yield from self.entities
-    yield from self.sensors
-    if self.terrain is not None:
-      yield TERRAIN
+    return iter(self._parts)

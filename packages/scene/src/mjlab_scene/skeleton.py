@@ -22,12 +22,13 @@ Numbers = NDArray[np.float64]
 OBJECT = "object"
 """Name of the body of rigid objects."""
 
-_BODY = ("body_pos", "body_quat", "body_mass", "body_ipos", "body_inertia", "body_iquat", "body_gravcomp")
-_JOINT = ("jnt_pos", "jnt_axis", "jnt_range", "jnt_stiffness", "jnt_margin", "jnt_solref", "jnt_solimp")
-_DOF = ("dof_armature", "dof_damping", "dof_frictionloss", "dof_solref", "dof_solimp")
-_QPOS = ("qpos0", "qpos_spring")
-_SITE = ("site_pos", "site_quat")
-FIELDS = (*_BODY, *_JOINT, *_DOF, *_QPOS, *_SITE)
+_FIELDS = {
+  "body": "body_pos body_quat body_mass body_ipos body_inertia body_iquat body_gravcomp".split(),
+  "joint": """jnt_pos jnt_axis jnt_range jnt_stiffness jnt_margin jnt_solref jnt_solimp dof_armature dof_damping
+dof_frictionloss dof_solref dof_solimp qpos0 qpos_spring""".split(),
+  "site": ["site_pos", "site_quat"],
+}
+FIELDS = tuple(name for names in _FIELDS.values() for name in names)
 """Model fields that differ between variants, beside those of geoms."""
 
 _FREE = mujoco.mjtJoint.mjJNT_FREE
@@ -54,44 +55,31 @@ def numbers_of(
     # Gravity leaves an absent object where it is.
     out["body_gravcomp"][model.body(prefix + OBJECT).id] = 1.0
     return out
-  for kind, fields in (("body", _BODY), ("joint", _JOINT), ("site", _SITE)):
+  for kind, fields in _FIELDS.items():
     for here, name in find_elements(model, kind, prefix).items():
       there = find(alone, kind, name)
       if there >= 0:
         for of in fields:
-          out[of][here] = getattr(alone, of)[there]
+          rows = _rows(model, of, here)
+          if of not in _CONFIGURED or not out[of][rows].any():
+            out[of][rows] = getattr(alone, of)[_rows(alone, of, there)]
       elif kind == "body":
         out["body_mass"][here], out["body_inertia"][here] = 0.0, 0.0
-      if kind == "joint":
-        _move_joint(out, model, here, alone, there, rest[name])
+      elif kind == "joint":
+        for of, value in {**_REST, "qpos_spring": rest[name]}.items():
+          out[of][_rows(model, of, here)] = value
+      if kind == "joint" and (there < 0 or not alone.jnt_limited[there]):
+        out["jnt_range"][here] = _NO_LIMIT
   return out
 
 
-def _move_joint(
-  out: dict[str, Numbers], model: mujoco.MjModel, here: int, alone: mujoco.MjModel, there: int, rest: Numbers
-) -> None:
-  """Write limits and columns of the joint `here`, which a variant has as its joint `there`, or lacks if negative."""
-  q, v = _columns(model, here)
-  if there < 0:
-    for of, value in _REST.items():
-      out[of][v if of.startswith("dof") else here] = value
-    out["jnt_range"][here], out["qpos_spring"][q] = _NO_LIMIT, rest
-    return
-  if not alone.jnt_limited[there]:
-    out["jnt_range"][here] = _NO_LIMIT
-  from_q, from_v = _columns(alone, there)
-  for of in _QPOS:
-    out[of][q] = getattr(alone, of)[from_q]
-  for of in _DOF:
-    if of not in _CONFIGURED or not getattr(model, of)[v].any():
-      out[of][v] = getattr(alone, of)[from_v]
-
-
-def _columns(model: mujoco.MjModel, joint: int) -> tuple[slice, slice]:
-  """Return the columns of a joint in qpos and in qvel."""
-  nq, nv = (4, 3) if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_BALL else (1, 1)
-  q, v = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
-  return slice(q, q + nq), slice(v, v + nv)
+def _rows(model: mujoco.MjModel, field: str, element: int) -> slice:
+  """Return the rows of an element in a field of the model; a ball joint has several in qpos and in its velocities."""
+  if not field.startswith(("dof", "qpos")):
+    return slice(element, element + 1)
+  is_ball = model.jnt_type[element] == mujoco.mjtJoint.mjJNT_BALL
+  starts, ball = (model.jnt_dofadr, 3) if field.startswith("dof") else (model.jnt_qposadr, 4)
+  return slice(starts[element], starts[element] + (ball if is_ball else 1))
 
 
 def find(model: mujoco.MjModel, kind: str, name: str) -> int:
