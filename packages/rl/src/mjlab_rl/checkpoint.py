@@ -87,7 +87,7 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
       torch.save(state, temporary)
   except (OSError, RuntimeError) as error:
     # Torch reports a full disk as a RuntimeError about positions in the archive.
-    raise FileError(f"checkpoint {path} could not be written: {_first_line(error)}; is there room?") from error
+    raise FileError(f"checkpoint {path} could not be written: {printable(error, 200)}; is there room?") from error
 
 
 def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
@@ -106,9 +106,9 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
       state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
       # torch uses these words for any file, also for a text.
-      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in _first_line(error)):
+      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in str(error)):
         raise FileError("holds objects other than tensors and plain values, not loaded") from error
-      raise FileError(f"damaged or not a checkpoint ({_first_line(error)})") from error
+      raise FileError(f"damaged or not a checkpoint ({printable(error, 200)})") from error
     wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
     if not isinstance(state, dict) or not any(name in state for name in wanted):
       found = sorted(map(str, state)) if isinstance(state, dict) else type(state).__name__
@@ -210,7 +210,3 @@ def optimizer_problems(saved: Mapping[str, Any], present: torch.optim.Optimizer)
 
 def _shape(value: Any) -> tuple[int, ...]:
   return tuple(getattr(value, "shape", ()))
-
-
-def _first_line(error: BaseException) -> str:
-  return printable((str(error).splitlines() or [type(error).__name__])[0], 200)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from mjlab_core import printable
+from rsl_rl.modules import RNN
 
 from mjlab_rl.checkpoint import refuse
 from mjlab_rl.env_protocol import RlEnv
@@ -25,8 +26,8 @@ class ProcessState:
   """Its environment."""
   statistics: EpisodeStatistics
   """Its episodes."""
-  networks: Mapping[str, Any]
-  """Networks with hidden states."""
+  memories: Sequence[RNN]
+  """Recurrent layers of its networks."""
   device: torch.device
   """Device of the learner."""
 
@@ -35,7 +36,7 @@ class ProcessState:
     return {
       "env": self.env.state_dict(),
       "statistics": self.statistics.state_dict(),
-      "hidden_states": [network.get_hidden_state() for network in self.networks.values()],
+      "hidden_states": [memory.hidden_state for memory in self.memories],
       "rng": _rng_state(self.device),
     }
 
@@ -59,7 +60,9 @@ class ProcessState:
     elif num_envs != self.env.num_envs:
       reason = f"it was saved with {num_envs} worlds, there are {self.env.num_envs} now"
     own = saved[0 if reason else ranks.rank]
-    refuse("its world state", _hidden_state_problems(own["hidden_states"], self.networks, num_envs))
+    # None: there was no step yet; earlier versions also wrote it for networks without memory.
+    hidden_states = [hidden for hidden in own["hidden_states"] if hidden is not None]
+    refuse("its world state", _hidden_state_problems(hidden_states, self.memories, num_envs))
     if not reason:
       try:
         self.env.load_state_dict(own["env"])
@@ -71,7 +74,9 @@ class ProcessState:
       self.env.reset()
       self.env.load_progress(own["env"])
     else:
-      _restore_hidden_states(own["hidden_states"], self.networks, self.device)
+      for hidden, memory in zip(hidden_states, self.memories, strict=False):
+        is_pair = isinstance(hidden, (tuple, list))
+        memory.hidden_state = tuple(part.to(self.device) for part in hidden) if is_pair else hidden.to(self.device)
       _restore_rng_state(own["rng"], self.device)
     self.statistics.load_state_dict(own["statistics"], same_worlds=not reason)
     return reason
@@ -89,23 +94,16 @@ def unpack(packed: bytes) -> dict[str, Any]:
   return torch.load(io.BytesIO(packed), map_location="cpu", weights_only=True)
 
 
-def _hidden_state_problems(saved: Sequence[Any], networks: Mapping[str, Any], num_envs: int) -> Iterator[str]:
-  """Yield a line for each network that its saved hidden state does not fit."""
-  for hidden, (name, network) in zip(saved, networks.items(), strict=True):
-    rnn = getattr(getattr(network, "rnn", None), "rnn", None)
+def _hidden_state_problems(saved: Sequence[Any], memories: Sequence[RNN], num_envs: int) -> Iterator[str]:
+  """Yield a line for each recurrent layer that its saved hidden state does not fit; without any, none is needed."""
+  if saved and len(saved) != len(memories):
+    yield f"it has {len(saved)} hidden states for {len(memories)} recurrent networks"
+  for number, (hidden, memory) in enumerate(zip(saved, memories, strict=False)):
     parts = hidden if isinstance(hidden, (tuple, list)) else (hidden,)
-    count = 2 if isinstance(rnn, torch.nn.LSTM) else 1
-    shapes = [] if rnn is None else [(rnn.num_layers, num_envs, rnn.hidden_size)] * count
-    if hidden is not None and [getattr(part, "shape", None) for part in parts] != shapes:
-      yield f"hidden state of {name}"
-
-
-def _restore_hidden_states(saved: Sequence[Any], networks: Mapping[str, Any], device: torch.device) -> None:
-  """Set the hidden states of networks, which `_hidden_state_problems` has compared."""
-  for hidden, network in zip(saved, networks.values(), strict=True):
-    if hidden is not None:
-      is_pair = isinstance(hidden, (tuple, list))
-      network.reset(hidden_state=tuple(part.to(device) for part in hidden) if is_pair else hidden.to(device))
+    shape = (memory.rnn.num_layers, num_envs, memory.rnn.hidden_size)
+    shapes = [shape] * (2 if isinstance(memory.rnn, torch.nn.LSTM) else 1)
+    if [getattr(part, "shape", None) for part in parts] != shapes:
+      yield f"hidden state {number}"
 
 
 def _rng_state(device: torch.device) -> dict[str, Any]:

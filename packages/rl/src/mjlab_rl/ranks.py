@@ -44,8 +44,8 @@ class Ranks:
     """
     if "RANK" not in os.environ and int(os.environ.get("SLURM_STEP_NUM_TASKS", "1")) > 1:
       _translate_slurm()
-    texts = {"rank": "0", "local_rank": os.environ.get("RANK", "0"), "world_size": "1"}
-    texts |= {name: os.environ[name.upper()] for name in texts if name.upper() in os.environ}
+    rank, get = os.environ.get("RANK", "0"), os.environ.get
+    texts = {"rank": rank, "local_rank": get("LOCAL_RANK", rank), "world_size": get("WORLD_SIZE", "1")}
     is_decimal = all(text.isdecimal() for text in texts.values())
     if not is_decimal or int(texts["rank"]) >= int(texts["world_size"]):
       given = ", ".join(f"{name.upper()}={printable(text, 40)}" for name, text in texts.items())
@@ -55,7 +55,7 @@ class Ranks:
   @classmethod
   def current(cls) -> Self:
     """Return the place of this process in the group that `joined` made; alone outside of it."""
-    if not distributed.is_available() or not distributed.is_initialized():
+    if not distributed.is_initialized():
       return cls()
     launched = cls.launched()
     return cls(rank=distributed.get_rank(), local_rank=launched.local_rank, world_size=distributed.get_world_size())
@@ -122,7 +122,7 @@ class Ranks:
       if self.world_size > 1:
         distributed.all_reduce(numbers)
     except RuntimeError as error:
-      reason = printable((str(error).splitlines() or [""])[0], 200)
+      reason = printable(error, 200)
       raise MjlabError(f"rank {self.rank}: another process of the run has ended or hangs ({reason})") from error
 
   def collect(self, value: T) -> list[T]:

@@ -110,13 +110,8 @@ def resolve_enum(text: object, member: str, where: str) -> Any:
   Raises:
     MjlabError: There is no such enum or member.
   """
-  # MuJoCo's enums are of a compiled module.
-  if isinstance(text, str) and re.fullmatch(r"mujoco\._enums:mjt\w+", text):
-    import mujoco
-
-    kind = getattr(mujoco, text.partition(":")[2], None)
-  else:
-    kind = resolve(text, where)
+  is_of_mujoco = isinstance(text, str) and re.fullmatch(r"mujoco\._enums:mjt\w+", text)
+  kind = resolve(text, where, frozenset({"mujoco"} if is_of_mujoco else ()))
   members = getattr(kind, "__members__", None)
   if members is None or not isinstance(kind, type):
     raise FileError(f"{where}: {printable(text, 120)!r} is not an enum")

@@ -14,6 +14,7 @@ from mjlab_core import printable
 from mjlab_core.errors import ConfigError, DivergedError, FileError
 from mjlab_core.files import reading
 from rsl_rl.models import MLPModel
+from rsl_rl.modules import RNN
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
@@ -29,7 +30,6 @@ from mjlab_rl.rank_averages import Figures, RankAverages
 from mjlab_rl.ranks import Patience, Ranks
 from mjlab_rl.scalar_log import IterationReport, RunLogs
 from mjlab_rl.stop_signals import StopSignals
-from mjlab_rl.teachers import single_networks
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 # Tags of figures that are checked and not logged.
@@ -92,7 +92,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     self._torch_device = torch.device(device)
     self._averages = RankAverages(self.networks, self.ranks, self._torch_device)
     self.statistics = EpisodeStatistics(env.num_envs, device)
-    self._process = ProcessState(env.unwrapped, self.statistics, single_networks(self.networks), self._torch_device)
+    memories = [part for network in self.networks.values() for part in network.modules() if isinstance(part, RNN)]
+    self._process = ProcessState(env.unwrapped, self.statistics, memories, self._torch_device)
     self.stopped_by: str | None = None
     """Name of the signal that ended the last `learn` early; None if it ran to its end."""
     self.is_world_state_restored = False

@@ -77,12 +77,3 @@ class Teachers(nn.ModuleList):
     """Return the hidden state of each network; None for a network without."""
     networks: list[Any] = list(self)
     return [network.get_hidden_state() for network in networks]
-
-
-def single_networks(networks: Mapping[str, nn.Module]) -> dict[str, nn.Module]:
-  """Return networks by name, each of several teachers as one, such as "teacher 0"."""
-  found: dict[str, nn.Module] = {}
-  for name, network in networks.items():
-    parts = enumerate(network) if isinstance(network, Teachers) else ()
-    found |= {f"{name} {number}": part for number, part in parts} or {name: network}
-  return found

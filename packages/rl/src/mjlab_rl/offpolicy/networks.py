@@ -97,9 +97,6 @@ class TanhGaussian(Distribution):
     """Standard deviation of the last actions before tanh, in units of the action."""
     return self._std
 
-  def init_mlp_weights(self, mlp: nn.Module) -> None:
-    """Leave the weights to the network."""
-
 
 class _Model(MLPModel):
   """rsl-rl's model with a `Normalizer`."""

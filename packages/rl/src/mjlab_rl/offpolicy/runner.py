@@ -58,6 +58,8 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
 
   def __init__(self, *args: Any, **options: Any) -> None:
     super().__init__(*args, **options)
+    self.algorithm = cast("OffPolicyAlgorithm", self.alg)
+    """The algorithm."""
     self._spans: list[tuple[Any, Any]] = []
     replay, cfg = self.algorithm.replay, self.agent_cfg.algorithm
     saved = "saved with checkpoints" if self.agent_cfg.save_replay else "not saved"
@@ -65,11 +67,6 @@ class MjlabOffPolicyRunner(MjlabOnPolicyRunner):
       f"replay memory: {replay.num_steps} steps of {replay.num_envs} worlds, {replay.num_bytes / 1e9:.2f} GB on "
       f"{self.device}, {saved}; {cfg.updates_per_step:g} updates of {cfg.batch_size} transitions a step"
     )
-
-  @property
-  def algorithm(self) -> OffPolicyAlgorithm:
-    """The algorithm."""
-    return cast("OffPolicyAlgorithm", self.alg)
 
   def _collect(self, obs: TensorDict) -> TensorDict:
     self._spans.clear()
