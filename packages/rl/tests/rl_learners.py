@@ -1,25 +1,37 @@
 """Small learners of the toy environment, their exact comparison, and what a GPU would wait for."""
 
+import functools
+import io
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pytest
 import torch
 from mjlab_core import seed_everything
+from mjlab_core.errors import ConfigError
 from mjlab_rl import (
   CheckpointPolicy,
   Console,
   MjlabOnPolicyRunner,
   OnnxPolicy,
+  RslRlBaseRunnerCfg,
   RslRlModelCfg,
   RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
 )
+from mjlab_rl.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
+from torch import distributed
 from torch.utils._python_dispatch import TorchDispatchMode
 
 QUIET = Console("quiet")
+
+
+class Terminal(io.StringIO):
+  def isatty(self) -> bool:
+    return True
 
 
 def agent(iterations: int = 4, hidden: tuple[int, ...] = (8,), **changes: Any) -> RslRlOnPolicyRunnerCfg:
@@ -111,3 +123,53 @@ class Waits(TorchDispatchMode):
     if by_mask or any(word in str(func) for word in (*self.words, "aten.equal", "unique")):
       self.found.append(str(func))
     return func(*args, **(kwargs or {}))
+
+
+def assert_no_waits(trained: MjlabOnPolicyRunner) -> None:
+  """Check that a rollout reads nothing back, because reading stops a GPU."""
+  with Waits() as waits:
+    trained._collect(trained.env.get_observations())
+  assert waits.found == []
+
+
+def refuse_setting(cfg: RslRlBaseRunnerCfg, path: str, value: object, message: str) -> None:
+  """Check that a configuration with another value of a field is refused."""
+  *parts, last = path.split(".")
+  setattr(functools.reduce(getattr, parts, cfg), last, value)
+  with pytest.raises(ConfigError, match=message):
+    cfg.to_rsl_rl()
+
+
+def pretend_two_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+  """Let this process believe that a second one has the same worlds."""
+
+  def all_reduce(numbers: torch.Tensor, op: Any = distributed.ReduceOp.SUM) -> None:
+    if op == distributed.ReduceOp.SUM:
+      numbers.mul_(2)
+
+  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
+  monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
+  monkeypatch.setattr(distributed, "get_world_size", lambda: 2)
+  monkeypatch.setattr(distributed, "all_reduce", all_reduce)
+  # Older versions of rsl-rl send the weights as objects.
+  for name in ("broadcast", "broadcast_object_list"):
+    monkeypatch.setattr(distributed, name, lambda values, src: None)
+
+
+def assert_learned_the_same(one: dict[str, Any], two: dict[str, Any]) -> None:
+  """Compare the states of a learner and of one of two processes with the same worlds, which count twice as much."""
+  pairs = list(zip(*(_leaves(state) for state in (one, two)), strict=True))
+  counts = [(a, b) for name, a, b in ((x[0], x[1], y[1]) for x, y in pairs) if name.endswith(".count")]
+  assert counts
+  assert all(b == 2 * a for a, b in counts)
+  for (name, a), (_, b) in pairs:
+    if not name.endswith(".count"):
+      torch.testing.assert_close(b, a, rtol=1e-4, atol=1e-5, msg=lambda text, n=name: f"{n}: {text}")
+
+
+def _leaves(state: Any, name: str = "") -> Iterator[tuple[str, Any]]:
+  if isinstance(state, (dict, list, tuple)):
+    for key, value in state.items() if isinstance(state, dict) else enumerate(state):
+      yield from _leaves(value, f"{name}.{key}")
+  elif state is not None:
+    yield name, state

@@ -6,11 +6,7 @@ import sys
 
 import pytest
 from mjlab_rl import Console, IterationReport
-
-
-class Terminal(io.StringIO):
-  def isatty(self) -> bool:
-    return True
+from rl_learners import Terminal
 
 
 @pytest.fixture(autouse=True)

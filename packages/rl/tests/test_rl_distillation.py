@@ -1,4 +1,4 @@
-"""A student that imitates a teacher: what it learns, what it is told of its teacher, what is refused."""
+"""Distillation: learning from teachers, their record in the manifest, and refused teachers."""
 
 import copy
 import hashlib
@@ -26,7 +26,7 @@ from mjlab_rl import (
   read_trained_policy,
   train,
 )
-from rl_learners import QUIET, Waits, assert_same, assert_same_checkpoints, exported, learner
+from rl_learners import QUIET, assert_no_waits, assert_same, assert_same_checkpoints, exported, learner, refuse_setting
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 
 
@@ -50,15 +50,15 @@ class PushCfg:
 
 
 @dataclass(kw_only=True)
-class ToldPointEnvCfg(PointEnvCfg):
-  """The point, in a configuration that says what is seen and done as environments of mjlab do."""
+class DescribedEnvCfg(PointEnvCfg):
+  """The point with observations and actions in its configuration, as environments of mjlab have."""
 
   observations: dict[str, GroupCfg | None] = field(default_factory=lambda: {"actor": GroupCfg(), "whole": GroupCfg()})
   actions: dict[str, PushCfg] = field(default_factory=lambda: {"push": PushCfg()})
   decimation: int = 4
 
 
-class ToldPointEnv(PointEnv):
+class DescribedEnv(PointEnv):
   """`actor` and `whole` are position and speed, `position` is the position alone, `side` is 1 right of the origin."""
 
   def get_observations(self) -> dict[str, torch.Tensor]:
@@ -71,6 +71,9 @@ def teacher_agent() -> RslRlOnPolicyRunnerCfg:
   cfg = RslRlOnPolicyRunnerCfg(max_iterations=3, num_steps_per_env=6, logger="none", experiment_name="teacher")
   cfg.actor = replace(cfg.actor, hidden_dims=(8,), activation="identity", obs_normalization=True)
   return cfg
+
+
+WIDER = replace(teacher_agent().actor, hidden_dims=(9,))
 
 
 def student_agent(sees: str = "whole", **changes: Any) -> RslRlDistillationRunnerCfg:
@@ -90,23 +93,32 @@ def recurrent(cfg: RslRlModelCfg, kind: Any) -> RslRlModelCfg:
 
 def run(agent: Any, log_root: Path | None, env: Any = None, **options: Any) -> Any:
   """Return the result of a training."""
-  task = TaskCfg(env=env or ToldPointEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3), agent=agent)
-  return train(task, name="Point", make_env=ToldPointEnv, log_root=log_root, console=QUIET, **options)
+  task = TaskCfg(env=env or DescribedEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3), agent=agent)
+  options = {"make_env": DescribedEnv, "console": QUIET} | options
+  return train(task, name="Point", log_root=log_root, **options)
+
+
+def refused(message: str, agent: Any, log_root: Path | None = None, env: Any = None, **options: Any) -> None:
+  """Check that a training is refused with a message and leaves no files."""
+  files = [*log_root.rglob("*")] if log_root else []
+  with pytest.raises(MjlabError, match=message):
+    run(agent, log_root, env, **options)
+  assert files == ([*log_root.rglob("*")] if log_root else [])
 
 
 @pytest.fixture(scope="module")
 def teacher(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  """A run whose policy was taught the law of a damped spring, which needs position and speed."""
-  return taught(tmp_path_factory.mktemp("logs"), -1.0)
+  """Return a checkpoint whose policy is a damped spring, which needs position and speed."""
+  return spring(tmp_path_factory.mktemp("logs"), -1.0)
 
 
 @pytest.fixture(scope="module")
 def contrary(tmp_path_factory: pytest.TempPathFactory) -> Path:
-  """One that pushes the other way."""
-  return taught(tmp_path_factory.mktemp("logs"), 1.0)
+  """Return a checkpoint whose policy pushes the other way."""
+  return spring(tmp_path_factory.mktemp("logs"), 1.0)
 
 
-def taught(logs: Path, gain: float) -> Path:
+def spring(logs: Path, gain: float) -> Path:
   checkpoint = run(teacher_agent(), logs).checkpoint
   state = learner(checkpoint)
   weights = state["actor_state_dict"]
@@ -124,11 +136,11 @@ def losses(result: Any) -> list[float]:
   return [float(row.split(",")[head.split(",").index("Loss/behavior")]) for row in rows]
 
 
-def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path, teacher: Path) -> None:
+def test_a_student_learns_the_actions_of_its_teacher(tmp_path: Path, teacher: Path) -> None:
   result = run(student_agent(max_iterations=80), tmp_path, teacher=teacher)
   fallen = losses(result)
   assert sum(fallen[-10:]) / 10 < 0.01 * fallen[0]
-  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
+  env = DescribedEnv(DescribedEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
   ours, theirs = (CheckpointPolicy(env, load_run(path).agent) for path in (result.checkpoint, teacher))
   ours.load(result.checkpoint)
   theirs.load(teacher)
@@ -136,8 +148,8 @@ def test_a_student_comes_to_do_what_its_teacher_does(tmp_path: Path, teacher: Pa
   assert (ours(seen) - theirs(seen)).square().mean() < 0.01 * theirs(seen).square().mean()
 
 
-def test_a_student_that_remembers_learns_what_one_that_does_not_cannot(tmp_path: Path, teacher: Path) -> None:
-  """Of position and speed the students see the position, from which two steps give the speed."""
+def test_a_recurrent_student_learns_more_from_positions_alone(tmp_path: Path, teacher: Path) -> None:
+  """Two steps of the position give the speed."""
 
   def final(student: Callable[[RslRlModelCfg], RslRlModelCfg]) -> float:
     agent = student_agent(sees="position", max_iterations=80)
@@ -147,17 +159,17 @@ def test_a_student_that_remembers_learns_what_one_that_does_not_cannot(tmp_path:
   assert final(lambda cfg: recurrent(cfg, "gru")) < 0.4 * final(lambda cfg: cfg)
 
 
-def test_a_run_says_whom_the_student_learned_from(tmp_path: Path, teacher: Path) -> None:
+def test_the_manifest_records_the_teacher(tmp_path: Path, teacher: Path) -> None:
   result = run(student_agent(), tmp_path, teacher=teacher)
   manifest = load_run(result.directory)
   assert manifest.teacher is not None
   assert manifest.teacher.checkpoint == str(teacher)
   assert manifest.teacher.sha256 == hashlib.sha256(teacher.read_bytes()).hexdigest()
   assert (manifest.teacher.task, manifest.teacher.iterations) == ("Point", 3)
-  # What the network is made of is written down, so that the run can go on without the teacher's.
+  # The network is written down, so that the run can continue without the run of the teacher.
   assert isinstance(manifest.agent, RslRlDistillationRunnerCfg)
   assert manifest.agent.teacher == teacher_agent().actor
-  # It acts by the weights of the checkpoint, and is not trained further.
+  # The teacher acts with the weights of the checkpoint, and is not trained further.
   assert_same(learner(result.checkpoint)["teacher_state_dict"], learner(teacher)["actor_state_dict"])
   resumed = run(replace(manifest.agent, max_iterations=5), tmp_path, resume=result.checkpoint)
   assert load_run(resumed.directory).teacher == manifest.teacher
@@ -184,7 +196,7 @@ def runner(agent: RslRlDistillationRunnerCfg, *teachers: Path, **env_options: An
   seed_everything(agent.seed)
   found = [read_trained_policy(teacher) for teacher in teachers]
   agent.teacher, agent.num_teachers = found[0].network(agent), len(found)
-  env = ToldPointEnv(ToldPointEnvCfg(seed=3, **env_options))
+  env = DescribedEnv(DescribedEnvCfg(seed=3, **env_options))
   made = MjlabDistillationRunner(RslRlVecEnvWrapper(env), agent, None, "cpu", console=QUIET)
   made.load_teacher(*found)
   return made
@@ -212,7 +224,7 @@ def test_the_label_of_each_world_is_the_action_of_its_teacher(
   assert torch.equal(labels, torch.where(index == 1, second, first))
 
 
-def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
+def test_a_student_learns_from_several_teachers_and_resumes_without_their_files(
   tmp_path: Path, teacher: Path, contrary: Path
 ) -> None:
   teachers = [tmp_path / path.parent.name / path.name for path in (teacher, contrary)]
@@ -222,7 +234,7 @@ def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
   result = run(agent, tmp_path, teacher=teachers)
   fallen = losses(result)
   assert sum(fallen[-10:]) / 10 < 0.05 * fallen[0]
-  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
+  env = DescribedEnv(DescribedEnvCfg(scene=PointSceneCfg(num_envs=200), seed=8))
   env.state.uniform_(-0.5, 0.5, generator=env.rng)
   seen = env.get_observations()
   ours, *theirs = (CheckpointPolicy(env, load_run(path).agent) for path in (result.checkpoint, *teachers))
@@ -246,8 +258,8 @@ def test_a_student_learns_from_several_teachers_and_goes_on_without_their_files(
   assert_same(*(learner(path)["teacher_state_dict"] for path in (result.checkpoint, resumed.checkpoint)))
 
 
-def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
-  """In rsl-rl every update takes it back to before its first step."""
+def test_a_teacher_keeps_its_hidden_state_after_an_update(tmp_path: Path) -> None:
+  """rsl-rl clears it in every update."""
   own = replace(teacher_agent(), actor=recurrent(teacher_agent().actor, "gru"))
   checkpoint = run(own, tmp_path).checkpoint
   made = runner(student_agent(), checkpoint, episode_steps=10**6, noise=0.0)
@@ -264,15 +276,12 @@ def test_a_teacher_remembers_beyond_an_update(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("kind", "groups"), [(None, None), ("gru", None), ("lstm", SIDES)])
-def test_steps_of_a_distillation_ask_the_device_nothing(teacher: Path, kind: Any, groups: Any) -> None:
+def test_a_rollout_of_a_distillation_never_waits_for_the_device(teacher: Path, kind: Any, groups: Any) -> None:
   agent = student_agent(sees="position")
   if kind is not None:
     agent.student = recurrent(agent.student, kind)
   agent.obs_groups = groups or agent.obs_groups
-  made = runner(agent, *([teacher] if groups is None else [teacher, teacher]))
-  with Waits() as waits:
-    made._collect(made.env.get_observations())
-  assert waits.found == []
+  assert_no_waits(runner(agent, *([teacher] if groups is None else [teacher, teacher])))
 
 
 def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Path, teacher: Path) -> None:
@@ -280,7 +289,7 @@ def test_a_distilled_student_is_played_and_exported_like_any_policy(tmp_path: Pa
   agent.student = recurrent(agent.student, "lstm")
   result = run(agent, tmp_path, teacher=teacher)
   agent = load_run(result.checkpoint).agent
-  env = ToldPointEnv(ToldPointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=8))
+  env = DescribedEnv(DescribedEnvCfg(scene=PointSceneCfg(num_envs=1), seed=8))
   policy = CheckpointPolicy(env, agent)
   policy.load(result.checkpoint)
   read = exported(policy, agent, env, tmp_path)
@@ -301,13 +310,12 @@ class StudentsPointEnv(PointEnv):
     return {"actor": self.state.clone()}
 
 
-def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, teacher: Path) -> None:
+def test_a_student_acts_without_observations_of_its_teacher(tmp_path: Path, teacher: Path) -> None:
   agent = student_agent(sees="actor")
   checkpoint = run(agent, tmp_path, teacher=teacher).checkpoint
   alone, together = (
-    kind(PointEnvCfg(scene=PointSceneCfg(num_envs=5), seed=8)) for kind in (StudentsPointEnv, ToldPointEnv)
+    kind(PointEnvCfg(scene=PointSceneCfg(num_envs=5), seed=8)) for kind in (StudentsPointEnv, DescribedEnv)
   )
-  # Or as what learns there by itself.
   reinforced = by_itself(agent)
   acting = [
     CheckpointPolicy(env, cfg)
@@ -324,7 +332,7 @@ def test_a_student_acts_where_nothing_is_seen_but_what_it_sees(tmp_path: Path, t
 
 
 def by_itself(agent: RslRlDistillationRunnerCfg, **changes: Any) -> RslRlOnPolicyRunnerCfg:
-  """Reinforcement of what a student is."""
+  """Return the configuration of reinforcement learning with the network of a student."""
   cfg = teacher_agent()
   cfg.actor, cfg.obs_groups["actor"] = replace(agent.student), agent.obs_groups["student"]
   for name, value in changes.items():
@@ -332,17 +340,16 @@ def by_itself(agent: RslRlDistillationRunnerCfg, **changes: Any) -> RslRlOnPolic
   return cfg
 
 
-def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
+def test_reinforcement_starts_from_the_policy_of_a_student_alone(
   tmp_path: Path, teacher: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   agent = student_agent()
   student = run(agent, tmp_path, teacher=teacher).checkpoint
   begun: list[Any] = []
-  learn = MjlabOnPolicyRunner.learn
 
-  def look(made: MjlabOnPolicyRunner, *args: Any, **options: Any) -> None:
+  def look(made: Any, *args: Any, of: Any = MjlabOnPolicyRunner.learn, **options: Any) -> None:
     begun.append((copy.deepcopy(made.networks["actor"].state_dict()), made.current_learning_iteration))
-    learn(made, *args, **options)
+    of(made, *args, **options)
 
   monkeypatch.setattr(MjlabOnPolicyRunner, "learn", look)
   result = run(by_itself(agent), tmp_path, init_from=student)
@@ -351,37 +358,31 @@ def test_reinforcement_begins_as_a_student_and_anew_in_all_else(
   assert (iteration, result.iterations) == (0, 3)
   learned = learner(result.checkpoint)["actor_state_dict"]
   assert not torch.equal(learned["mlp.0.weight"], weights["mlp.0.weight"])
-  told = load_run(result.checkpoint).init_from
-  assert told is not None
-  assert (told.checkpoint, told.task, told.iterations) == (str(student), "Point", 4)
-  # A file alone says which network it has.
+  record = load_run(result.checkpoint).init_from
+  assert record is not None
+  assert (record.checkpoint, record.task, record.iterations) == (str(student), "Point", 4)
+  # A checkpoint alone is enough.
   alone = tmp_path / "model_4.pt"
   alone.write_bytes(student.read_bytes())
   assert run(by_itself(agent), tmp_path, init_from=alone).iterations == 3
 
 
-def test_what_cannot_begin_as_a_policy_is_refused_by_name(tmp_path: Path, teacher: Path) -> None:
-  agent = student_agent()
+def test_a_policy_that_does_not_fit_as_a_beginning_is_refused(tmp_path: Path, teacher: Path) -> None:
+  agent, none = student_agent(), tmp_path / "none"
   student = run(agent, tmp_path / "logs", teacher=teacher).checkpoint
-  for changes, message in (
-    (
-      {"actor": replace(agent.student, activation="relu")},
-      r"agent\.actor\.activation was elu in its training and is relu",
-    ),
-    ({"actor": replace(agent.student, hidden_dims=(9,))}, r"agent\.actor\.hidden_dims was 16 in its training and is 9"),
-    ({"clip_actions": 0.5}, r"agent\.clip_actions was not there in its training and is 0\.5 here"),
-  ):
-    with pytest.raises(FileError, match=message):
-      run(by_itself(agent, **changes), tmp_path / "none", init_from=student)
-  other = env_with(lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()))
-  with pytest.raises(FileError, match="order of terms was position, speed in its training and is speed, position"):
-    run(by_itself(agent), tmp_path / "none", other, init_from=student)
   log = {"class_name": "GaussianDistribution", "init_std": 0.1, "std_type": "log"}
-  with pytest.raises(FileError, match=r"log_std_param is missing in the file"):
-    run(by_itself(agent, actor=replace(agent.student, distribution_cfg=log)), tmp_path / "none", init_from=student)
-  with pytest.raises(ConfigError, match="a resumed run keeps its policy"):
-    run(by_itself(agent), tmp_path / "none", init_from=student, resume=student)
-  assert not (tmp_path / "none").exists()
+  for message, changes in (
+    (r"agent\.actor\.activation was elu in its training and is relu", {"activation": "relu"}),
+    (r"agent\.actor\.hidden_dims was 16 in its training and is 9", {"hidden_dims": (9,)}),
+    (r"log_std_param is missing in the file", {"distribution_cfg": log}),
+  ):
+    refused(message, by_itself(agent, actor=replace(agent.student, **changes)), none, init_from=student)
+  message = r"agent\.clip_actions was not there in its training and is 0\.5 here"
+  refused(message, by_itself(agent, clip_actions=0.5), none, init_from=student)
+  other = env_with(lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()))
+  message = "order of terms was position, speed in its training and is speed, position"
+  refused(message, by_itself(agent), none, other, init_from=student)
+  refused("a resumed run keeps its policy", by_itself(agent), none, init_from=student, resume=student)
 
 
 def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:
@@ -391,39 +392,30 @@ def test_a_student_can_teach_another(tmp_path: Path, teacher: Path) -> None:
   assert_same(taught, own)
 
 
-def env_with(change: Callable[[ToldPointEnvCfg], object]) -> ToldPointEnvCfg:
-  cfg = ToldPointEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3)
+def env_with(change: Callable[[DescribedEnvCfg], object]) -> DescribedEnvCfg:
+  cfg = DescribedEnvCfg(scene=PointSceneCfg(num_envs=16), seed=3)
   change(cfg)
   return cfg
 
 
-def whole(cfg: ToldPointEnvCfg, **terms: TermCfg | None) -> None:
+ORDER = "observations.whole.order of terms was position, speed in its training"
+
+
+def whole(cfg: DescribedEnvCfg, **terms: TermCfg | None) -> None:
   cfg.observations["whole"] = GroupCfg(terms=dict(terms))
 
 
 @pytest.mark.parametrize(
   ("change", "message"),
   [
-    (
-      lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()),
-      "observations.whole.order of terms was position, speed in its training and is speed, position here",
-    ),
-    (
-      lambda cfg: whole(cfg, position=TermCfg(), speed=None),
-      "observations.whole.order of terms was position, speed in its training and is position here",
-    ),
+    (lambda cfg: whole(cfg, speed=TermCfg(), position=TermCfg()), f"{ORDER} and is speed, position here"),
+    (lambda cfg: whole(cfg, position=TermCfg(), speed=None), f"{ORDER} and is position here"),
     (
       lambda cfg: whole(cfg, position=TermCfg(scale=0.5), speed=TermCfg()),
       "observations.whole.position.scale was 1.0 in its training and is 0.5 here",
     ),
-    (
-      lambda cfg: cfg.observations.pop("whole"),
-      "observation group 'whole' does not exist. All 1: actor",
-    ),
-    (
-      lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)),
-      "actions.push.scale was 0.1 in its training and is 0.2 here",
-    ),
+    (lambda cfg: cfg.observations.pop("whole"), "observation group 'whole' does not exist. All 1: actor"),
+    (lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)), "push.scale was 0.1 in its training and is 0.2 here"),
     (
       lambda cfg: cfg.actions.update(push=PushCfg(limits=(-2.0, 1.0))),
       "actions.push.limits was -1.0, 1.0 in its training and is -2.0, 1.0 here",
@@ -435,29 +427,26 @@ def whole(cfg: ToldPointEnvCfg, **terms: TermCfg | None) -> None:
     (lambda cfg: setattr(cfg, "decimation", 2), "decimation was 4 in its training and is 2 here"),
   ],
 )
-def test_a_teacher_that_learned_something_else_is_refused_by_name(
-  tmp_path: Path, teacher: Path, change: Callable[[ToldPointEnvCfg], object], message: str
+def test_a_teacher_with_other_observations_actions_or_timing_is_refused(
+  tmp_path: Path, teacher: Path, change: Callable[[DescribedEnvCfg], object], message: str
 ) -> None:
-  with pytest.raises(FileError, match=f"of Point does not fit: .*{message}"):
-    run(student_agent(), tmp_path, env_with(change), teacher=teacher)
-  assert list(tmp_path.iterdir()) == []
+  refused(f"of Point does not fit: .*{message}", student_agent(), tmp_path, env_with(change), teacher=teacher)
 
 
-def test_a_distillation_that_is_resumed_holds_on_to_what_its_teacher_does(tmp_path: Path, teacher: Path) -> None:
+def test_a_resumed_distillation_needs_the_actions_of_its_teacher(tmp_path: Path, teacher: Path) -> None:
   half = run(student_agent(), tmp_path, teacher=teacher).checkpoint
   other = env_with(lambda cfg: cfg.actions.update(push=PushCfg(scale=0.2)))
-  with pytest.raises(FileError, match=r"actions\.push\.scale was 0\.1 in its training and is 0\.2 here"):
-    run(student_agent(max_iterations=9), tmp_path, other, resume=half)
-  # Without its manifest only the network must be told.
+  longer = student_agent(max_iterations=9)
+  refused(r"actions\.push\.scale was 0\.1 in its training and is 0\.2 here", longer, tmp_path, other, resume=half)
+  # Without its manifest the configuration must describe the network.
   alone = tmp_path / "model_4.pt"
   alone.write_bytes(half.read_bytes())
-  with pytest.raises(ConfigError, match="has no manifest"):
-    run(student_agent(max_iterations=9), tmp_path, resume=alone)
+  refused("has no manifest", student_agent(max_iterations=9), tmp_path, resume=alone)
   assert run(student_agent(max_iterations=9, teacher=teacher_agent().actor), tmp_path, resume=alone).iterations == 9
 
 
 def test_a_teacher_may_see_without_the_noise_and_the_delay_of_its_training(tmp_path: Path) -> None:
-  def noisy(cfg: ToldPointEnvCfg) -> None:
+  def noisy(cfg: DescribedEnvCfg) -> None:
     terms: dict[str, TermCfg | None] = {"position": TermCfg(noise=0.1), "speed": TermCfg(delay_max_lag=2)}
     cfg.observations["actor"] = GroupCfg(terms=terms, corrupt=True)
 
@@ -465,69 +454,57 @@ def test_a_teacher_may_see_without_the_noise_and_the_delay_of_its_training(tmp_p
   assert run(student_agent(), tmp_path, teacher=teacher).iterations == 4
 
 
-def test_other_networks_groups_and_limits_than_the_teachers_are_refused_by_name(tmp_path: Path, teacher: Path) -> None:
-  model = replace(teacher_agent().actor, hidden_dims=(9,))
-  with pytest.raises(ConfigError, match=r"agent\.teacher\.hidden_dims was 8 in its training and is 9 here"):
-    run(student_agent(teacher=model), tmp_path, teacher=teacher)
+def test_other_networks_groups_and_limits_than_the_teachers_are_refused(tmp_path: Path, teacher: Path) -> None:
+  message = r"agent\.teacher\.hidden_dims was 8 in its training and is 9 here"
+  refused(message, student_agent(teacher=WIDER), tmp_path, teacher=teacher)
   groups = {"student": ("whole",), "teacher": ("whole", "position")}
-  with pytest.raises(FileError, match="number of observation groups was 1 in its training and is 2 here"):
-    run(student_agent(obs_groups=groups), tmp_path, teacher=teacher)
-  with pytest.raises(FileError, match=r"agent\.clip_actions was not there in its training and is 0\.5 here"):
-    run(student_agent(clip_actions=0.5), tmp_path, teacher=teacher)
+  message = "number of observation groups was 1 in its training and is 2 here"
+  refused(message, student_agent(obs_groups=groups), tmp_path, teacher=teacher)
+  message = r"agent\.clip_actions was not there in its training and is 0\.5 here"
+  refused(message, student_agent(clip_actions=0.5), tmp_path, teacher=teacher)
 
 
-def test_several_teachers_that_do_not_fit_are_refused_by_name(tmp_path: Path, teacher: Path, contrary: Path) -> None:
-  both = [teacher, contrary]
-  wider = teacher_agent()
-  wider.actor.hidden_dims = (9,)
-  other = run(wider, tmp_path).checkpoint
-  with pytest.raises(ConfigError, match=r"hidden_dims was 9 in its training and is 8 here\. Several teachers must"):
-    run(student_agent(), None, teacher=[teacher, other])
+def test_several_teachers_that_do_not_fit_are_refused(tmp_path: Path, teacher: Path, contrary: Path) -> None:
+  other = run(replace(teacher_agent(), actor=WIDER), tmp_path).checkpoint
+  message = r"hidden_dims was 9 in its training and is 8 here\. Several teachers must"
+  refused(message, student_agent(), teacher=[teacher, other])
   for group, message in (
     ("whole", r"'whole' of agent\.obs_groups\['teacher_index'\] has shape \(16, 2\); it must be one number for each"),
     ("position", r"'position' of .* has -?[\d.e-]+; the 2 teachers are 0 to 1"),
     ("sides", r"observation group 'sides' does not exist"),
   ):
-    with pytest.raises(MjlabError, match=message):
-      run(student_agent(obs_groups=SIDES | {"teacher_index": (group,)}), None, teacher=both)
+    groups = SIDES | {"teacher_index": (group,)}
+    refused(message, student_agent(obs_groups=groups), teacher=[teacher, contrary])
 
 
 def test_a_checkpoint_alone_needs_a_description_and_is_checked_by_its_shapes(tmp_path: Path, teacher: Path) -> None:
   alone = tmp_path / "model_9.pt"
   alone.write_bytes(teacher.read_bytes())
-  with pytest.raises(ConfigError, match=r"has no manifest; agent\.teacher must describe its network"):
-    run(student_agent(), None, teacher=alone)
-  wrong = replace(teacher_agent().actor, hidden_dims=(9,))
-  with pytest.raises(FileError, match=r"teacher: mlp\.0\.weight is \(8, 2\) in the file and \(9, 2\) here"):
-    run(student_agent(teacher=wrong), None, teacher=alone)
+  refused(r"has no manifest; agent\.teacher must describe its network", student_agent(), teacher=alone)
+  message = r"teacher: mlp\.0\.weight is \(8, 2\) in the file and \(9, 2\) here"
+  refused(message, student_agent(teacher=WIDER), teacher=alone)
   assert run(student_agent(teacher=teacher_agent().actor), None, teacher=alone).iterations == 4
 
 
-def test_a_teacher_with_code_in_it_is_not_run(tmp_path: Path) -> None:
+def test_a_teacher_that_contains_code_is_refused(tmp_path: Path) -> None:
   path = tmp_path / "model_1.pt"
   torch.save({"actor_state_dict": os.system}, path)
   with pytest.raises(FileError, match="not loaded"):
     read_trained_policy(path)
 
 
-def test_a_teacher_is_refused_where_none_is_needed(tmp_path: Path, teacher: Path) -> None:
-  with pytest.raises(ConfigError, match="a distillation needs a teacher"):
-    run(student_agent(), tmp_path)
-  with pytest.raises(ConfigError, match="only a RslRlDistillationRunnerCfg has a teacher"):
-    run(teacher_agent(), tmp_path, teacher=teacher)
-  with pytest.raises(ConfigError, match="a resumed run keeps its teacher"):
-    run(student_agent(), tmp_path, teacher=teacher, resume=teacher)
-  with pytest.raises(FileError, match=r"has no teacher, so it is not a distillation to resume"):
-    run(student_agent(), tmp_path, resume=teacher)
+def test_a_teacher_is_refused_where_it_is_not_needed(tmp_path: Path, teacher: Path) -> None:
+  refused("a distillation needs a teacher", student_agent(), tmp_path)
+  refused("only a RslRlDistillationRunnerCfg has a teacher", teacher_agent(), tmp_path, teacher=teacher)
+  refused("a resumed run keeps its teacher", student_agent(), tmp_path, teacher=teacher, resume=teacher)
+  refused("has no teacher, so it is not a distillation to resume", student_agent(), tmp_path, resume=teacher)
 
 
-def test_a_runner_of_another_learner_is_refused_by_name(teacher: Path) -> None:
-  env = ToldPointEnvCfg(scene=PointSceneCfg(num_envs=4), seed=3)
-  task = TaskCfg(env=env, agent=student_agent(), runner=MjlabOnPolicyRunner)
-  with pytest.raises(
-    ConfigError, match="runner is MjlabOnPolicyRunner; a distillation needs a MjlabDistillationRunner"
-  ):
-    train(task, name="Point", make_env=ToldPointEnv, log_root=None, console=QUIET, teacher=teacher)
+def test_a_runner_of_another_learner_is_refused(teacher: Path) -> None:
+  task = TaskCfg(env=DescribedEnvCfg(), agent=student_agent(), runner=MjlabOnPolicyRunner)
+  message = "runner is MjlabOnPolicyRunner; a distillation needs a MjlabDistillationRunner"
+  with pytest.raises(ConfigError, match=message):
+    train(task, name="Point", make_env=DescribedEnv, log_root=None, console=QUIET, teacher=teacher)
 
 
 def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher: Path) -> None:
@@ -540,29 +517,21 @@ def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher:
 
 
 @pytest.mark.parametrize(
-  ("change", "message"),
+  ("path", "value", "message"),
   [
-    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 4), "gradient_length is 4; it must divide .*, 6, or the"),
-    (lambda cfg: setattr(cfg.algorithm, "gradient_length", 0), "gradient_length must be at least 1, got 0"),
-    (lambda cfg: setattr(cfg.algorithm, "max_grad_norm", 0.0), "max_grad_norm must be positive, got 0.0"),
-    (lambda cfg: setattr(cfg.student, "activation", "ellu"), "agent.student.activation 'ellu' does not exist"),
-    (lambda cfg: setattr(cfg.student, "distribution_cfg", None), r"agent\.student\.distribution_cfg is None"),
-    (
-      lambda cfg: setattr(cfg, "teacher", RslRlModelCfg(hidden_dims=(0,))),
-      "agent.teacher.hidden_dims must be at least 1",
-    ),
+    ("algorithm.gradient_length", 4, "gradient_length is 4; it must divide .*, 6, or the"),
+    ("algorithm.gradient_length", 0, "gradient_length must be at least 1, got 0"),
+    ("algorithm.max_grad_norm", 0.0, "max_grad_norm must be positive, got 0.0"),
+    ("student.activation", "ellu", "agent.student.activation 'ellu' does not exist"),
+    ("student.distribution_cfg", None, r"agent\.student\.distribution_cfg is None"),
+    ("teacher", RslRlModelCfg(hidden_dims=(0,)), "agent.teacher.hidden_dims must be at least 1"),
   ],
 )
-def test_impossible_settings_of_a_distillation_are_named_as_flags_name_them(
-  change: Callable[[Any], None], message: str
-) -> None:
-  cfg = student_agent()
-  change(cfg)
-  with pytest.raises(ConfigError, match=message):
-    cfg.to_rsl_rl()
+def test_impossible_settings_of_a_distillation_are_refused(path: str, value: object, message: str) -> None:
+  refuse_setting(student_agent(), path, value, message)
 
 
-def test_no_distillation_without_gradient_limit(teacher: Path) -> None:
+def test_a_distillation_trains_without_a_gradient_limit(teacher: Path) -> None:
   agent = student_agent()
   agent.algorithm.max_grad_norm = None
   runner(agent, teacher).learn(1)

@@ -16,17 +16,9 @@ import pytest
 import rl_point_env
 import torch
 from mjlab_core.errors import FileError
-from mjlab_rl import (
-  Console,
-  MjlabOnPolicyRunner,
-  OnnxPolicy,
-  RslRlModelCfg,
-  RslRlOnPolicyRunnerCfg,
-  RslRlVecEnvWrapper,
-  RunManifest,
-  load_run,
-)
+from mjlab_rl import OnnxPolicy, RslRlOnPolicyRunnerCfg, RunManifest, load_run
 from mjlab_rl.manifest import encode_manifest
+from rl_learners import agent, learner, runner
 from rl_onnx_files import linear_policy
 
 COUNT = 300
@@ -95,8 +87,8 @@ def check(what: str, file: Path, read: Callable[[], object]) -> bool:
 def test_a_mutated_manifest_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
   rng = random.Random(0)
   terms = {"t": rl_point_env.PointTermCfg(func=rl_point_env.point_reward, params={"weight": 2.0})}
-  agent = RslRlOnPolicyRunnerCfg(obs_groups={"actor": ("actor",), "critic": ("critic",)}, clip_actions=1.0)
-  run = RunManifest(task="T", env=rl_point_env.PointEnvCfg(terms=terms), agent=agent, play=rl_point_env.play)
+  cfg = RslRlOnPolicyRunnerCfg(clip_actions=1.0)
+  run = RunManifest(task="T", env=rl_point_env.PointEnvCfg(terms=terms), agent=cfg, play=rl_point_env.play)
   manifest = encode_manifest(run)
   file = tmp_path / "manifest.json"
   text, paths, refused = json.dumps(manifest).encode(), list(places(manifest)), 0
@@ -108,16 +100,6 @@ def test_a_mutated_manifest_is_read_or_refused_in_one_line(tmp_path: Path) -> No
       file.write_text(json.dumps(changed(manifest, rng.choice(paths), None if i % 4 == 1 else lambda _, o=odd: o)))
     refused += check("manifest", file, lambda: load_run(tmp_path))
   assert COUNT // 2 < refused < COUNT
-
-
-def runner() -> MjlabOnPolicyRunner:
-  cfg = RslRlOnPolicyRunnerCfg(num_steps_per_env=4, logger="none")
-  cfg.actor = RslRlModelCfg(
-    hidden_dims=(4,), rnn_type="lstm", rnn_hidden_dim=4, distribution_cfg=cfg.actor.distribution_cfg
-  )
-  cfg.critic = RslRlModelCfg(hidden_dims=(4,), obs_normalization=True)
-  env = RslRlVecEnvWrapper(rl_point_env.PointEnv(rl_point_env.PointEnvCfg()))
-  return MjlabOnPolicyRunner(env, cfg, console=Console("quiet"))
 
 
 def _tensors(rng: random.Random) -> Any:
@@ -136,12 +118,14 @@ def _tensors(rng: random.Random) -> Any:
 
 def test_a_mutated_checkpoint_is_read_or_refused_in_one_line(tmp_path: Path) -> None:
   rng = random.Random(0)
-  trained = runner()
+  cfg = agent(hidden=(4,))
+  cfg.actor.rnn_type, cfg.actor.rnn_hidden_dim = "lstm", 4
+  trained = runner(None, cfg)
   trained.learn(1)
   file = tmp_path / "model_1.pt"
   trained.save(str(file))
   content = file.read_bytes()
-  state = torch.load(file, weights_only=True)
+  state = learner(file)
   # The 625 numbers of a generator's state would take most of the mutations.
   paths = [
     path for path in places(state) if len(path) < 6 and not (path[:3] == ("mjlab", "rng", "python") and path[4:])
@@ -190,7 +174,6 @@ def _spoil_model(model: Any, rng: random.Random) -> None:
 def test_a_mutated_onnx_file_is_read_or_refused_in_one_line(tmp_path: Path, spoil_twice: bool) -> None:
   rng = random.Random(spoil_twice)
   env = rl_point_env.PointEnv(rl_point_env.PointEnvCfg())
-  agent = RslRlOnPolicyRunnerCfg()
   file = linear_policy(tmp_path / "policy.onnx", np.ones((2, 1)), time_step=True, memory=True)
   content, model, refused = file.read_bytes(), onnx.load(file), 0
   for i in range(COUNT // 2):
@@ -202,5 +185,5 @@ def test_a_mutated_onnx_file_is_read_or_refused_in_one_line(tmp_path: Path, spoi
       if spoil_twice and spoilt.graph.node and spoilt.graph.initializer and spoilt.graph.input and spoilt.graph.output:
         _spoil_model(spoilt, rng)
       file.write_bytes(spoilt.SerializeToString())
-    refused += check("policy", file, lambda: OnnxPolicy(file, agent, env)(env.get_observations()))
+    refused += check("policy", file, lambda: OnnxPolicy(file, RslRlOnPolicyRunnerCfg(), env)(env.get_observations()))
   assert COUNT // 5 < refused < COUNT // 2

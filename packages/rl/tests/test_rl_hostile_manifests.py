@@ -1,4 +1,4 @@
-"""A manifest from a stranger runs nothing and writes nothing. It is refused in one line."""
+"""Manifests from strangers run nothing and write nothing. They are refused in one line."""
 
 import functools
 import importlib
@@ -57,7 +57,7 @@ def test_the_refusal_names_the_field(place: str, payload: Any, tmp_path: Path) -
     load_run(tmp_path)
 
 
-def test_what_is_refused_on_reading_is_refused_when_the_run_starts() -> None:
+def test_a_configuration_that_could_not_be_read_is_refused_when_the_run_starts() -> None:
   cfg = rl_point_env.PointEnvCfg(rewards={"f": functools.partial(rl_point_env.point_reward, weight=2.0)})
   with pytest.raises(ConfigError, match=r"env\.rewards\.f: a partial may stand only in"):
     encode_manifest(RunManifest(task="T", env=cfg, agent=RslRlOnPolicyRunnerCfg()))
@@ -65,30 +65,22 @@ def test_what_is_refused_on_reading_is_refused_when_the_run_starts() -> None:
     encode(rl_point_env.PointEnvCfg(rewards={"f": json.loads}), "env")
 
 
-def test_functions_partials_and_classes_of_trusted_packages_stand_where_they_are_called_so(tmp_path: Path) -> None:
+def test_functions_partials_and_classes_of_trusted_packages_fit_fields_that_declare_them(tmp_path: Path) -> None:
   cfg = rl_point_env.PointEnvCfg(
     terms={"t": rl_point_env.PointTermCfg(func=functools.partial(rl_point_env.point_reward, weight=2.0))},
     entities={"e": rl_point_env.PointEntityCfg(spec_fn=functools.partial(rl_point_env.point_scene, 7))},
     rewards={"kind": rl_point_env.PointEnv, "plain": rl_point_env.point_scene},
   )
-  run = RunManifest(
-    task="T",
-    env=cfg,
-    agent=RslRlOnPolicyRunnerCfg(),
-    runner=MjlabDistillationRunner,
-    make_env=rl_point_env.PointEnv,
-    play=rl_point_env.play,
-  )
-  write(tmp_path, encode_manifest(run))
+  options: Any = {"runner": MjlabDistillationRunner, "make_env": rl_point_env.PointEnv, "play": rl_point_env.play}
+  write(tmp_path, encode_manifest(RunManifest(task="T", env=cfg, agent=RslRlOnPolicyRunnerCfg(), **options)))
   back = load_run(tmp_path)
   assert back.env.entities["e"].spec_fn() == rl_point_env.PointSceneCfg(num_envs=7)
   assert back.env.terms["t"].func.keywords == {"weight": 2.0}
-  assert (back.make_env, back.play) == (rl_point_env.PointEnv, rl_point_env.play)
-  assert back.runner is MjlabDistillationRunner
+  assert {name: getattr(back, name) for name in options} == options
   assert back.env.rewards == cfg.rewards
 
 
-def test_a_file_does_not_choose_where_something_is_written(tmp_path: Path) -> None:
+def test_output_folders_are_not_taken_from_a_file(tmp_path: Path) -> None:
   write(tmp_path, put(manifest(), "env.fields.output_dir", "/somewhere/else"))
   assert load_run(tmp_path).env.output_dir is None
 

@@ -1,4 +1,4 @@
-"""Networks that see, alone and in training: what they remember, whose encoders they share, what is exported of them."""
+"""Networks with images and recurrent layers: hidden states, shared encoders, training and export."""
 
 import copy
 from dataclasses import replace
@@ -23,7 +23,7 @@ from mjlab_rl import (
 )
 from mjlab_rl.networks import Gaussian, ImageModel
 from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
-from rl_learners import QUIET, Waits, agent, assert_resumes_exactly, exported
+from rl_learners import QUIET, agent, assert_no_waits, assert_resumes_exactly, exported
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 from rsl_rl.modules import GaussianDistribution
 from rsl_rl.utils import split_and_pad_trajectories
@@ -33,11 +33,11 @@ CNN = {"output_channels": (4, 4), "kernel_size": (3, 3), "stride": (2, 2), "padd
 SOFTMAX = "mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"
 GROUPS = {"net": ["speed", "camera"]}
 each_kind = pytest.mark.parametrize("kind", [ImageModel, SpatialSoftmaxCNNModel])
-each_memory = pytest.mark.parametrize("rnn_type", ["gru", "lstm"])
+each_memory = pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
 
 
 class SeenPoint(PointEnv):
-  """The point as a bright spot on 8 x 8 pixels; `speed` is what the image does not show."""
+  """The point as a bright spot on 8 x 8 pixels, and its `speed`, which the image does not show."""
 
   pixels = 8
 
@@ -54,10 +54,8 @@ class SharplySeenPoint(SeenPoint):
 
 def observations(steps: tuple[int, ...], seed: int = 0) -> TensorDict:
   generator = torch.Generator().manual_seed(seed)
-  seen = {
-    "speed": torch.rand(*steps, 1, generator=generator),
-    "camera": torch.rand(*steps, 1, 8, 8, generator=generator),
-  }
+  shapes = {"speed": (1,), "camera": (1, 8, 8)}
+  seen = {name: torch.rand(*steps, *shape, generator=generator) for name, shape in shapes.items()}
   return TensorDict(seen, batch_size=list(steps))
 
 
@@ -90,10 +88,8 @@ def runner(cfg: RslRlOnPolicyRunnerCfg, directory: Path | None = None) -> MjlabO
 
 
 @each_kind
-@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
-def test_what_is_seen_counts_beside_what_is_told_and_no_world_sees_for_another(
-  kind: type[ImageModel], rnn_type: Any
-) -> None:
+@each_memory
+def test_actions_depend_on_images_and_vectors_of_the_same_world(kind: type[ImageModel], rnn_type: Any) -> None:
   network = model(kind, rnn_type)
   seen = observations((3,)).requires_grad_()
   network(seen)[1].sum().backward()
@@ -104,8 +100,8 @@ def test_what_is_seen_counts_beside_what_is_told_and_no_world_sees_for_another(
 
 
 @each_kind
-@each_memory
-def test_a_world_that_is_done_forgets_and_no_other_does(kind: type[ImageModel], rnn_type: str) -> None:
+@pytest.mark.parametrize("rnn_type", ["gru", "lstm"])
+def test_only_worlds_that_are_done_lose_their_hidden_state(kind: type[ImageModel], rnn_type: str) -> None:
   network = model(kind, rnn_type)
   first, second = observations((3,), 1), observations((3,), 2)
   with torch.no_grad():
@@ -123,8 +119,8 @@ def test_a_world_that_is_done_forgets_and_no_other_does(kind: type[ImageModel], 
 
 
 @each_kind
-@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
-def test_whole_trajectories_give_what_their_steps_gave(kind: type[ImageModel], rnn_type: Any) -> None:
+@each_memory
+def test_whole_trajectories_give_the_outputs_of_their_steps(kind: type[ImageModel], rnn_type: Any) -> None:
   network = model(kind, rnn_type)
   seen, dones = observations((5, 3)), torch.zeros(5, 3, 1, dtype=torch.uint8)
   dones[1, 0] = dones[3, 2] = 1
@@ -136,17 +132,17 @@ def test_whole_trajectories_give_what_their_steps_gave(kind: type[ImageModel], r
       network.reset(dones[step, :, 0])
     padded, masks = split_and_pad_trajectories(seen, dones)
     whole = network(padded, masks=masks, hidden_state=(blank, blank) if rnn_type == "lstm" else blank)
-  # Three worlds, of which two began anew once.
+  # Three worlds, two of them with a reset.
   assert padded.shape == (5, 5)
   torch.testing.assert_close(whole, torch.stack(steps))
 
 
 @pytest.mark.parametrize("class_name", ["CNNModel", SOFTMAX])
-@pytest.mark.parametrize("critic", ["told", "own encoders", "shared encoders", "shared encoders, no memory"])
-@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
-def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, rnn_type: Any) -> None:
+@pytest.mark.parametrize("critic", ["vectors", "own encoders", "shared encoders", "shared encoders, no memory"])
+@each_memory
+def test_all_networks_with_images_are_trained(class_name: str, critic: str, rnn_type: Any) -> None:
   cfg = seeing(rnn_type, class_name)
-  if critic != "told":
+  if critic != "vectors":
     memory = None if "no memory" in critic else rnn_type
     critic_that_sees(cfg, memory, shared="shared" in critic)
   trained = runner(cfg)
@@ -157,7 +153,7 @@ def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, 
       assert value.isfinite().all(), (name, key)
       if "weight" in key:
         assert not torch.equal(value, before[name][key]), (name, key)
-  if critic != "told":
+  if critic != "vectors":
     ours, theirs = (network.cnns for network in trained.networks.values())
     assert (ours is theirs) == ("shared" in critic)
   states = [network.get_hidden_state() is not None for network in trained.networks.values()]
@@ -165,14 +161,13 @@ def test_all_ways_to_see_and_remember_are_trained(class_name: str, critic: str, 
 
 
 def test_shared_encoders_are_learned_once_and_saved_with_the_actor() -> None:
-  """rsl-rl hands its optimiser every weight of shared encoders twice, which torch warns of."""
+  """rsl-rl gives its optimiser every weight of shared encoders twice, and torch warns."""
   shared, own = (runner(critic_that_sees(seeing(), None, shared=shared)) for shared in (True, False))
   numbers = [[id(p) for p in made.alg.optimizer.param_groups[0]["params"]] for made in (shared, own)]
   assert len(numbers[0]) == len(set(numbers[0])) == len(numbers[1]) - 4
   assert not any(name.startswith("cnns") for name in shared.networks["critic"].state_dict())
-  obs = shared.env.get_observations()
-  shared.networks["critic"](obs).sum().backward()
-  # What the critic asks for reaches them all the same.
+  shared.networks["critic"](shared.env.get_observations()).sum().backward()
+  # Gradients of the critic reach them.
   encoders = [p for name, p in shared.networks["actor"].named_parameters() if name.startswith("cnns")]
   assert len(encoders) == 4
   assert all(p.grad is not None and p.grad.abs().amax() > 0.0 for p in encoders)
@@ -183,15 +178,12 @@ def test_two_iterations_and_two_more_are_four_bit_for_bit(tmp_path: Path, shared
   assert_resumes_exactly(lambda folder: runner(critic_that_sees(seeing("gru"), "gru", shared=shared), folder), tmp_path)
 
 
-@pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])
-def test_steps_that_see_ask_the_device_nothing(rnn_type: Any) -> None:
-  trained = runner(seeing(rnn_type))
-  with Waits() as waits:
-    trained._collect(trained.env.get_observations())
-  assert waits.found == []
+@each_memory
+def test_a_rollout_with_images_never_waits_for_the_device(rnn_type: Any) -> None:
+  assert_no_waits(runner(seeing(rnn_type)))
 
 
-def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> None:
+def test_a_rollout_stores_each_image_once_and_only_groups_of_networks() -> None:
   trained = runner(critic_that_sees(seeing(), None, shared=False))
   stored: Any = trained.alg.storage.observations
   assert (stored["camera"].shape, stored["camera"].dtype) == ((6, 4, 1, 8, 8), torch.float32)
@@ -199,25 +191,21 @@ def test_a_rollout_keeps_every_image_once_and_nothing_that_no_network_sees() -> 
   assert sizes == {"critic": 6 * 4 * 3 * 4, "speed": 6 * 4 * 4, "camera": 6 * 4 * 64 * 4}
 
 
-def test_a_group_that_is_not_there_is_named_with_the_nearest() -> None:
-  cfg = seeing(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)})
+def test_an_unknown_group_is_refused_with_the_nearest_name() -> None:
   message = r"agent\.obs_groups\['actor'\]: observation group 'camra' .* Nearest: camera"
   with pytest.raises(UnknownNameError, match=message):
-    runner(cfg)
+    runner(seeing(obs_groups={"actor": ("speed", "camra"), "critic": ("critic",)}))
 
 
-def test_images_cost_what_the_readme_says() -> None:
-  cfg = seeing(num_steps_per_env=2)
-  stored: Any = runner(cfg).alg.storage.observations["camera"]
+def test_images_take_the_memory_that_the_readme_gives() -> None:
+  stored: Any = runner(seeing(num_steps_per_env=2)).alg.storage.observations["camera"]
   per_value = stored.untyped_storage().nbytes() / stored.numel()
   text = " ".join((Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8").split())
   assert f"4096 worlds x 24 steps x 3 x 32 x 32 take {4096 * 24 * 3 * 32 * 32 * per_value / 1e9:.2f} GB" in text
 
 
 @pytest.mark.parametrize(("class_name", "rnn_type"), [(SOFTMAX, None), (SOFTMAX, "gru"), ("CNNModel", "lstm")])
-def test_an_exported_policy_sees_and_remembers_as_its_checkpoint_does(
-  tmp_path: Path, class_name: str, rnn_type: Any
-) -> None:
+def test_an_exported_policy_acts_as_its_checkpoint(tmp_path: Path, class_name: str, rnn_type: Any) -> None:
   cfg = seeing(rnn_type, class_name)
   trained = runner(cfg, tmp_path)
   trained.learn(1)
@@ -245,7 +233,7 @@ class RenamedPoint(PointEnv):
     return {"obs": seen["actor"], "critic": seen["critic"]}
 
 
-def test_a_group_of_vectors_may_be_called_as_an_exported_network_calls_its_input(tmp_path: Path) -> None:
+def test_a_group_may_have_the_name_of_the_input_of_an_exported_network(tmp_path: Path) -> None:
   cfg = RslRlOnPolicyRunnerCfg(logger="none", obs_groups={"actor": ("obs",), "critic": ("critic",)})
   env = RenamedPoint(PointEnvCfg(scene=PointSceneCfg(num_envs=1), seed=4))
   policy = CheckpointPolicy(env, cfg)
@@ -255,7 +243,7 @@ def test_a_group_of_vectors_may_be_called_as_an_exported_network_calls_its_input
     torch.testing.assert_close(read(seen), policy(seen))
 
 
-def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> None:
+def test_a_recurrent_student_with_images_learns_from_a_teacher_with_vectors() -> None:
   cfg = RslRlDistillationRunnerCfg(
     num_steps_per_env=6, logger="none", obs_groups={"student": ("actor", "camera"), "teacher": ("actor",)}
   )
@@ -266,20 +254,18 @@ def test_a_student_that_sees_and_remembers_learns_from_one_that_is_told() -> Non
   made = MjlabDistillationRunner(wrapped, cfg, None, "cpu", console=QUIET)
   made._distillation.teacher_loaded = True
   made.learn(3)
-  with Waits() as waits:
-    made._collect(made.env.get_observations())
-  assert waits.found == []
+  assert_no_waits(made)
   assert all(value.isfinite().all() for value in made.networks["student"].state_dict().values())
 
 
-def test_memory_is_switched_on_by_its_type_alone() -> None:
+def test_rnn_type_alone_makes_a_network_recurrent() -> None:
   assert RslRlModelCfg(rnn_type="gru").to_rsl_rl()["class_name"] == "RNNModel"
   assert RslRlModelCfg().to_rsl_rl()["class_name"] == "MLPModel"
   seeing = RslRlModelCfg(class_name="CNNModel", cnn_cfg=CNN, rnn_type="gru").to_rsl_rl()
   assert (seeing["class_name"], seeing["rnn_type"]) == ("mjlab_rl.networks:ImageModel", "gru")
 
 
-def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered() -> None:
+def test_more_mini_batches_than_worlds_are_refused_for_recurrent_networks() -> None:
   """rsl-rl divides trajectories by worlds: some batches would be empty."""
   cfg = seeing("gru")
   cfg.algorithm.num_mini_batches = 5
@@ -303,7 +289,7 @@ def test_more_mini_batches_than_worlds_are_refused_where_something_is_remembered
     ({"colour": 1}, "unexpected keyword argument 'colour'"),
   ],
 )
-def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, Any], message: str) -> None:
+def test_impossible_settings_of_an_encoder_are_refused_by_their_flag(change: dict[str, Any], message: str) -> None:
   cfg = seeing()
   assert cfg.actor.cnn_cfg is not None
   cfg.actor.cnn_cfg |= change
@@ -315,7 +301,7 @@ def test_an_encoder_that_cannot_be_is_named_as_flags_name_it(change: dict[str, A
       runner(cfg)
 
 
-def test_who_sees_nothing_needs_no_encoder() -> None:
+def test_encoders_of_a_network_without_images_are_refused() -> None:
   with pytest.raises(ConfigError, match=r"agent\.actor\.cnn_cfg is given, but agent\.actor\.class_name 'MLPModel'"):
     runner(seeing(class_name="MLPModel"))
   cfg = seeing()
@@ -325,9 +311,9 @@ def test_who_sees_nothing_needs_no_encoder() -> None:
 
 
 @each_kind
-def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[ImageModel], tmp_path: Path) -> None:
+def test_a_policy_trained_with_another_image_size_is_refused(kind: type[ImageModel], tmp_path: Path) -> None:
   cfg = seeing(class_name=f"{kind.__module__}:{kind.__name__}", max_iterations=1)
-  # Then the weights fit images of any size.
+  # The weights fit images of any size.
   cfg.actor.cnn_cfg = CNN | ({"global_pool": "max"} if kind is ImageModel else {})
   task = TaskCfg(env=PointEnvCfg(), agent=cfg)
   options: Any = {"name": "Point", "console": QUIET}
@@ -337,22 +323,19 @@ def test_who_learned_from_images_of_another_size_is_refused_by_name(kind: type[I
   message = "observation group 'camera' was 1 x 8 x 8 in its training and is 1 x 12 x 12 here"
   student = RslRlDistillationRunnerCfg(max_iterations=1, num_steps_per_env=8, logger="none")
   student.obs_groups = {"student": ("actor",), "teacher": ("speed", "camera")}
-  cases: list[tuple[Any, dict[str, Any]]] = [
-    (cfg, {"init_from": trained}),
-    (cfg, {"resume": trained}),
-    (student, {"teacher": trained}),
-  ]
+  cases: list[tuple[Any, str]] = [(cfg, "init_from"), (cfg, "resume"), (student, "teacher")]
   for learner_cfg, beginning in cases:
-    learner_cfg = replace(learner_cfg, max_iterations=2)
+    options[beginning], longer = trained, replace(task, agent=replace(learner_cfg, max_iterations=2))
     with pytest.raises(FileError, match=message):
-      train(replace(task, agent=learner_cfg), make_env=SharplySeenPoint, log_root=other, **beginning, **options)
-    assert train(replace(task, agent=learner_cfg), make_env=SeenPoint, log_root=None, **beginning, **options)
+      train(longer, make_env=SharplySeenPoint, log_root=other, **options)
+    assert train(longer, make_env=SeenPoint, log_root=None, **options)
+    del options[beginning]
   assert not other.exists()
   with pytest.raises(FileError, match=message):
     CheckpointPolicy(SharplySeenPoint(PointEnvCfg()), cfg).load(trained)
 
 
-def test_actions_are_drawn_as_rsl_rl_draws_them_bit_for_bit() -> None:
+def test_actions_are_sampled_as_by_rsl_rl_bit_for_bit() -> None:
   draws = []
   for kind in (GaussianDistribution, Gaussian):
     distribution = kind(3, init_std=0.7)

@@ -1,4 +1,4 @@
-"""Off-policy learning: the parts that ports get wrong, learning, and an exact resume."""
+"""Off-policy learning: returns, noise, layers, learning, and an exact resume."""
 
 import copy
 import dataclasses
@@ -63,7 +63,7 @@ def test_noise_stays_for_the_lengths_of_a_zeta_distribution() -> None:
   assert (once.next() != before).all()
 
 
-def test_the_normaliser_learns_in_place_what_all_batches_have() -> None:
+def test_the_normaliser_learns_the_moments_of_all_batches_in_place() -> None:
   torch.manual_seed(0)
   normalizer = Normalizer(3)
   addresses = [value.data_ptr() for value in normalizer.state_dict().values()]
@@ -153,21 +153,16 @@ def test_time_outs_bootstrap_from_the_last_observation_and_terminations_do_not()
   torch.manual_seed(0)
   runner = runner_of(agent_of("fastsac", n_step=1, replay_steps=200), num_envs=8, noise=0.4)
   obs = runner.env.get_observations()
-  seen = {"terminated": 0, "timed out": 0}
   for _ in range(60):
-    before = obs
-    obs, _, dones = runner.algorithm.collect(runner.env, obs)
-    assert before["actor"].shape == (8, 2)
-    del dones
+    obs, *_ = runner.algorithm.collect(runner.env, obs)
   batch = runner.algorithm.replay.sample(2000, 1, 0.9)
   # Position and velocity are columns 0 and 1, the age is the last; each step moves the position by 0.1 of the velocity.
   moved = batch.next_obs[:, 0] - batch.obs[:, 0]
   age = batch.next_obs[:, 4] * 12.0
   bootstraps = batch.discount > 0
   torch.testing.assert_close(moved[bootstraps], 0.1 * batch.next_obs[bootstraps, 1], atol=1e-5, rtol=0.0)
-  seen["timed out"] = int((bootstraps & (age.round() == 12)).sum())
-  seen["terminated"] = int((~bootstraps).sum())
-  assert min(seen.values()) > 10
+  assert int((bootstraps & (age.round() == 12)).sum()) > 10
+  assert int((~bootstraps).sum()) > 10
   assert (batch.obs[bootstraps, 0].abs() <= 1.0).all()
 
 
@@ -202,7 +197,10 @@ def test_updates_are_interleaved_by_their_ratio(ratio: float, rounds: int) -> No
   assert runner.algorithm.rounds_done == rounds
 
 
-@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+each_preset = pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+
+
+@each_preset
 def test_two_iterations_and_two_more_equal_four(tmp_path: Path, preset: str) -> None:
   def run(iterations: int, folder: str, resume: Path | None = None) -> Any:
     agent = agent_of(preset)
@@ -222,8 +220,8 @@ def test_two_iterations_and_two_more_equal_four(tmp_path: Path, preset: str) -> 
   assert (policy({"actor": torch.zeros(4, 2), "critic": torch.zeros(4, 3)}).abs() <= 1.0).all()
 
 
-@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
-def test_the_exported_network_is_the_policy(preset: str) -> None:
+@each_preset
+def test_the_exported_network_acts_as_the_policy(preset: str) -> None:
   runner = runner_of(agent_of(preset))
   runner.learn(2)
   actor: Any = runner.networks["actor"].eval()
@@ -232,7 +230,7 @@ def test_the_exported_network_is_the_policy(preset: str) -> None:
   torch.testing.assert_close(exported(obs), actor.squash.deterministic_output(actor.output(obs)))
 
 
-@pytest.mark.parametrize("preset", ["fastsac", "flashsac"])
+@each_preset
 def test_a_point_is_pushed_to_the_middle(preset: str) -> None:
   torch.manual_seed(1)
   agent = agent_of(preset, batch_size=128, updates_per_step=2.0, gamma=0.9, tau=0.1, learning_rate=4e-3, n_step=1)
@@ -257,7 +255,7 @@ def test_a_point_is_pushed_to_the_middle(preset: str) -> None:
   assert mean_reward(1.0) > 0.88
 
 
-def test_mistakes_are_one_line(tmp_path: Path) -> None:
+def test_mistakes_in_the_configuration_are_refused(tmp_path: Path) -> None:
   task: Any = TaskCfg(env=PointEnvCfg(), agent=RslRlOnPolicyRunnerCfg(logger="none", max_iterations=1))
   assert with_agent(task, "ppo") is task
   assert isinstance(with_agent(task, "flashsac").agent, OffPolicyRunnerCfg)

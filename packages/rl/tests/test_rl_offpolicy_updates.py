@@ -1,7 +1,8 @@
-"""Updates of off-policy learning: losses against slow references, waits, processes, and a learner of one's own."""
+"""Updates of off-policy learning: losses against slow references, waits, processes, and a custom algorithm."""
 
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mjlab_rl
@@ -12,8 +13,7 @@ from mjlab_core import seed_everything
 from mjlab_rl import Console, TaskCfg, train
 from mjlab_rl.offpolicy.algorithm import action_bounds
 from mjlab_rl.offpolicy.config import SacCfg
-from mjlab_rl.ranks import Ranks
-from rl_learners import Waits
+from rl_learners import Waits, assert_learned_the_same, pretend_two_processes
 from rl_point_env import PointEnv, PointEnvCfg
 from test_rl_offpolicy import agent_of, runner_of, slow_projection
 from torch import distributed
@@ -29,10 +29,26 @@ def filled(steps: int = 30, preset: str = "fastsac", **algorithm: Any) -> Any:
   return runner.algorithm
 
 
+SUPPORT = np.linspace(-3.0, 3.0, 11)
+SETTINGS: dict[str, Any] = {"n_step": 2, "num_atoms": 11, "value_limit": 3.0, "temperature": 0.3}
+
+
+def critic_loss(batch: Any, later: np.ndarray, logs: np.ndarray, log_prob: np.ndarray, combine: str) -> float:
+  """Return the loss of two critics for the probabilities of the next step and the present logarithms."""
+  loss = 0.0
+  for i, (reward, discount) in enumerate(zip(batch.reward.tolist(), batch.discount.tolist(), strict=True)):
+    # The value of a stochastic policy contains its entropy.
+    values = reward + discount * (SUPPORT - 0.3 * log_prob[i])
+    least = int((later[:, i] @ SUPPORT).argmin())
+    for critic in range(2):
+      goal = slow_projection(later[critic if combine == "mean" else least, i], values, SUPPORT)
+      loss -= float(goal @ logs[critic, i]) / 32
+  return loss
+
+
 @pytest.mark.parametrize("combine", ["mean", "min"])
 def test_losses_are_those_of_a_slow_reference(combine: str) -> None:
-  settings: dict[str, Any] = {"combine": combine, "n_step": 2, "num_atoms": 11, "value_limit": 3.0}
-  algorithm = filled(**settings, temperature=0.3)
+  algorithm = filled(combine=combine, **SETTINGS)
   batch = algorithm.sample()
   assert bool((batch.discount == 0.0).any())
 
@@ -48,23 +64,15 @@ def test_losses_are_those_of_a_slow_reference(combine: str) -> None:
     action, log_prob = drawn(batch.next_obs)
     later = logits(algorithm.target, batch.next_obs, action).softmax(-1).numpy()
     logs = logits(algorithm.critic, batch.obs, batch.action).log_softmax(-1).numpy()
-  support = np.linspace(-3.0, 3.0, 11)
-  expected = 0.0
-  for i, (reward, discount) in enumerate(zip(batch.reward.tolist(), batch.discount.tolist(), strict=True)):
-    # The value of a policy that acts at random has its entropy in it.
-    values = reward + discount * (support - 0.3 * log_prob[i])
-    least = int((later[:, i] @ support).argmin())
-    for critic in range(2):
-      goal = slow_projection(later[critic if combine == "mean" else least, i], values, support)
-      expected -= float(goal @ logs[critic, i]) / 32
   torch.manual_seed(7)
   algorithm._update_critic(batch)
+  expected = critic_loss(batch, later, logs, log_prob, combine)
   assert float(algorithm.figures()["critic_loss"]) == pytest.approx(expected, rel=1e-4)
 
   temperature = float(algorithm.log_temperature.detach().exp())
   with torch.no_grad():
     action, log_prob = drawn(batch.obs)
-    value = (logits(algorithm.critic, batch.obs, action).softmax(-1).numpy() @ support).T
+    value = (logits(algorithm.critic, batch.obs, action).softmax(-1).numpy() @ SUPPORT).T
   combined = value.mean(1) if combine == "mean" else value.min(1)
   torch.manual_seed(7)
   algorithm._update_policy(batch)
@@ -74,9 +82,8 @@ def test_losses_are_those_of_a_slow_reference(combine: str) -> None:
 
 def test_critics_with_batch_normalisation_see_present_and_next_steps_as_one_batch() -> None:
   """As CrossQ does (arXiv:1902.05605): apart, the two halves would be normalised by different moments."""
-  algorithm = filled(preset="flashsac", n_step=2, num_atoms=11, value_limit=3.0, temperature=0.3, batch_size=32)
+  algorithm = filled(preset="flashsac", batch_size=32, **SETTINGS)
   batch = algorithm.sample()
-  support = np.linspace(-3.0, 3.0, 11)
   with torch.no_grad():
     algorithm.actor.eval()
     torch.manual_seed(7)
@@ -88,13 +95,9 @@ def test_critics_with_batch_normalisation_see_present_and_next_steps_as_one_batc
     logs = algorithm.critic.train().logits(obs, actions).double().log_softmax(-1).numpy()[:, :32]
     apart = algorithm.critic.logits(obs[:32], actions[:32]).double().log_softmax(-1).numpy()
   assert np.abs(apart - logs).max() > 1e-3
-  expected = 0.0
-  for i, (reward, discount) in enumerate(zip(batch.reward.tolist(), batch.discount.tolist(), strict=True)):
-    values = reward + discount * (support - 0.3 * float(log_prob[i]))
-    goal = slow_projection(later[int((later[:, i] @ support).argmin()), i], values, support)
-    expected -= float((logs[:, i] @ goal).sum()) / 32
   torch.manual_seed(7)
   algorithm._update_critic(batch)
+  expected = critic_loss(batch, later, logs, log_prob.double().numpy(), "min")
   assert float(algorithm.figures()["critic_loss"]) == pytest.approx(expected, rel=1e-4)
 
 
@@ -153,54 +156,24 @@ def test_two_processes_with_the_same_worlds_learn_what_one_learns(monkeypatch: p
     runner.learn(3)
     return runner.algorithm.save()
 
-  def all_reduce(numbers: torch.Tensor, op: Any = distributed.ReduceOp.SUM) -> None:
-    if op == distributed.ReduceOp.SUM:
-      numbers.mul_(2)
-
   one = trained()
-  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
-  monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
+  pretend_two_processes(monkeypatch)
   monkeypatch.setattr(distributed, "is_initialized", lambda: True)
-  monkeypatch.setattr(distributed, "get_world_size", lambda: 2)
-  monkeypatch.setattr(distributed, "all_reduce", all_reduce)
-  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
-  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
   two = trained()
-  for part in (one, two):
-    assert part["algorithm_state_dict"]["rounds_done"] > 5
-  counts = [part["algorithm_state_dict"]["modules"]["scale"].pop("statistics.count") for part in (one, two)]
-  assert 2 * counts[0] == counts[1]
-  for network in ("actor", "critic"):
-    counts = [part[f"{network}_state_dict"].pop("obs_normalizer.count", torch.tensor(0)) for part in (one, two)]
-    assert 2 * counts[0] == counts[1]
-  modules = [part["algorithm_state_dict"]["modules"]["target"] for part in (one, two)]
-  for state in modules:
-    state.pop("obs_normalizer.count", None)
-  torch.testing.assert_close(two, one, rtol=1e-4, atol=1e-5)
+  assert one["algorithm_state_dict"]["rounds_done"] > 5
+  assert_learned_the_same(one, two)
 
 
 def test_actions_are_bounded_by_the_reach_of_their_joints() -> None:
-  class Term:
-    reach = torch.tensor([[2.0, math.inf]])
-
-  class Manager:
-    total_action_dim = 3
-
-    def term_slices(self) -> dict[str, slice]:
-      return {"gripper": slice(0, 1), "legs": slice(1, 3)}
-
-    def get_term(self, name: str) -> Any:
-      return Term() if name == "legs" else object()
-
-  class Env:
-    action_manager = Manager()
-
-  env = Env()
+  terms = {"gripper": object(), "legs": SimpleNamespace(reach=torch.tensor([[2.0, math.inf]]))}
+  slices = {"gripper": slice(0, 1), "legs": slice(1, 3)}
+  manager = SimpleNamespace(total_action_dim=3, term_slices=lambda: slices, get_term=terms.__getitem__)
+  env = SimpleNamespace(action_manager=manager)
   assert action_bounds(env, 3, SacCfg(action_bound=0.5)).tolist() == [[0.5, 2.0, 0.5]]
   assert action_bounds(env, 3, SacCfg(action_bound=0.5, joint_limits=False)).tolist() == [[0.5, 0.5, 0.5]]
 
 
-def test_a_learner_of_ones_own_is_one_class_in_one_file(tmp_path: Path) -> None:
+def test_a_custom_algorithm_is_one_class_in_one_file(tmp_path: Path) -> None:
   def run(iterations: int, folder: str, resume: Path | None = None) -> Any:
     agent = agent_of("fastsac", class_name="rl_third_learner:Weighted")
     agent.max_iterations = iterations

@@ -57,16 +57,13 @@ def test_a_process_that_hangs_ends_the_run_and_the_others_save_the_learner(ended
 def events(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
   """Limits of a process and its work, in their order; it believes that there is a second process like it."""
   found: list[Any] = []
+  rl_learners.pretend_two_processes(monkeypatch)
   # Older versions of torch have no limit that could be changed.
   monkeypatch.setattr(distributed, "set_timeout", lambda limit: found.append(("messages", limit)), raising=False)
   monkeypatch.setattr(distributed, "is_initialized", lambda: True)
-  monkeypatch.setattr(distributed, "all_reduce", lambda numbers: numbers.mul_(2))
-  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
-  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
   monkeypatch.setattr(faulthandler, "dump_traceback_later", lambda limit, exit: found.append(("traceback", limit)))
   monkeypatch.setattr(faulthandler, "cancel_dump_traceback_later", lambda: found.append("no traceback"))
   monkeypatch.setattr(checkpoint, "write_checkpoint", lambda path, state: found.append("written"))
-  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
   monkeypatch.setattr(Ranks, "collect", lambda _, value: [value])
   monkeypatch.setattr(Ranks, "gather", lambda _, value: (value is None and found.append("all wait")) or [value] * 2)
   return found

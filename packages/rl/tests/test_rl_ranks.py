@@ -11,19 +11,11 @@ import pytest
 import torch
 from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
-from mjlab_rl import (
-  Console,
-  MjlabOnPolicyRunner,
-  RslRlVecEnvWrapper,
-  TaskCfg,
-  checkpoints,
-  train,
-)
+from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper, TaskCfg, checkpoints, train
 from mjlab_rl.captured_ppo import CapturedPPO
 from mjlab_rl.ranks import Ranks
-from rl_learners import agent, assert_same
+from rl_learners import agent, assert_learned_the_same, assert_same, pretend_two_processes
 from rl_point_env import PointEnv, PointEnvCfg
-from torch import distributed
 
 HERE = Path(__file__).parent
 
@@ -47,7 +39,7 @@ def kept(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
-def test_two_processes_train_one_policy_in_worlds_of_their_own(launched: tuple[Path, str]) -> None:
+def test_two_processes_train_one_policy_in_different_worlds(launched: tuple[Path, str]) -> None:
   folder, shown = launched
   first, second = kept(folder, "half")
   assert_same(first["learner"], second["learner"])
@@ -92,7 +84,7 @@ def test_an_off_policy_run_of_two_processes_has_one_learner_and_resumes_exactly(
 
 
 @pytest.mark.slow
-def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launched: tuple[Path, str]) -> None:
+def test_on_another_number_of_processes_the_learner_continues_in_new_worlds(launched: tuple[Path, str]) -> None:
   folder, shown = launched
   assert "world state was not restored: it was saved by 1 process, there are 2 now" in shown
   first, second = kept(folder, "alone")
@@ -102,10 +94,8 @@ def test_on_another_number_of_processes_the_learner_goes_on_in_new_worlds(launch
 
   text = io.StringIO()
   task = TaskCfg(env=PointEnvCfg(), agent=agent(4))
-  (run,) = (folder / "logs" / "half").iterdir()
-  train(
-    task, name="Point", make_env=PointEnv, log_root=None, resume=run / "model_3.pt", console=Console("normal", text)
-  )
+  (half,) = (folder / "logs" / "half").glob("*/model_3.pt")
+  train(task, name="Point", make_env=PointEnv, log_root=None, resume=half, console=Console("normal", text))
   assert "world state was not restored: it was saved by 2 processes, there is 1 now" in text.getvalue()
 
 
@@ -116,10 +106,8 @@ def test_an_iteration_sends_one_message_per_update_and_one_of_figures(launched: 
   updates = algorithm.num_learning_epochs * algorithm.num_mini_batches
   for rank in range(2):
     short, long = torch.load(folder / f"counts_{rank}.pt")
-    assert long["all_reduce"] - short["all_reduce"] == 3 * (updates + 1)
-    assert {name: long[name] for name in long if name != "all_reduce"} == {
-      name: short[name] for name in short if name != "all_reduce"
-    }
+    assert long.pop("all_reduce") - short.pop("all_reduce") == 3 * (updates + 1)
+    assert long == short
 
 
 @pytest.mark.parametrize("is_covered", [True, False], ids=["captured", "rsl-rl"])
@@ -140,17 +128,9 @@ def test_two_processes_with_the_same_worlds_learn_what_one_learns(
     return runner.alg.save() | {"rate": torch.tensor(runner.alg.learning_rate)}, names
 
   one, one_names = trained()
-  monkeypatch.setattr(Ranks, "current", lambda: Ranks(world_size=2))
-  monkeypatch.setattr(Ranks, "gather", lambda _, value: [value, value])
-  monkeypatch.setattr(distributed, "all_reduce", lambda numbers, *_, **__: numbers.mul_(2))
-  monkeypatch.setattr(distributed, "broadcast", lambda numbers, src: None)
-  # With which older versions of rsl-rl send the weights.
-  monkeypatch.setattr(distributed, "broadcast_object_list", lambda values, src: None)
+  pretend_two_processes(monkeypatch)
   two, two_names = trained()
-  for network in ("actor", "critic"):
-    counts = [state[f"{network}_state_dict"].pop("obs_normalizer.count") for state in (one, two)]
-    assert 2 * counts[0] == counts[1]
-  torch.testing.assert_close(two, one, rtol=1e-4, atol=1e-5)
+  assert_learned_the_same(one, two)
   assert one["rate"] != 1e-3
   assert two_names == one_names
 

@@ -1,6 +1,5 @@
 import csv
-import functools
-import io
+import itertools
 import os
 import signal
 import subprocess
@@ -14,54 +13,44 @@ from unittest.mock import MagicMock
 import pytest
 import torch
 from mjlab_core.errors import ConfigError, DivergedError, FileError
-from mjlab_rl import (
-  Console,
-  MjlabOnPolicyRunner,
-  RslRlVecEnvWrapper,
-  TaskCfg,
-  checkpoints,
-  load_run,
-  train,
-)
+from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper, TaskCfg, checkpoints, load_run, train
+from mjlab_rl.episode_statistics import WINDOW, EpisodeStatistics
 from mjlab_rl.run_directory import create_run_directory
 from mjlab_rl.scalar_log import IterationReport
-from rl_learners import QUIET, Waits, agent, assert_resumes_exactly, assert_same, learner, runner
+from mjlab_rl.stop_signals import StopSignals
+from rl_learners import (
+  QUIET,
+  Terminal,
+  agent,
+  assert_no_waits,
+  assert_resumes_exactly,
+  assert_same,
+  learner,
+  refuse_setting,
+  runner,
+)
 from rl_point_env import PointEnv, PointEnvCfg
+from rsl_rl.utils.logger import Logger
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 NAMES = ("experiment_name", "run_name")
 
 
-@pytest.mark.parametrize("class_name", ["MLPModel", "RNNModel"])
-def test_three_iterations_and_three_more_equal_six_bit_for_bit(tmp_path: Path, class_name: str) -> None:
-  def make(folder: Path) -> MjlabOnPolicyRunner:
-    cfg = agent()
-    if class_name == "RNNModel":
-      for model in (cfg.actor, cfg.critic):
-        model.class_name, model.rnn_type, model.rnn_hidden_dim = class_name, "lstm", 4
-    return runner(folder, cfg)
-
-  assert_resumes_exactly(make, tmp_path, half=3)
+@pytest.mark.parametrize("rnn_type", [None, "lstm"])
+def test_three_iterations_and_three_more_equal_six_bit_for_bit(tmp_path: Path, rnn_type: Any) -> None:
+  cfg = agent()
+  for model in (cfg.actor, cfg.critic):
+    model.rnn_type, model.rnn_hidden_dim = rnn_type, 4
+  assert_resumes_exactly(lambda folder: runner(folder, cfg), tmp_path, half=3)
 
 
-def test_steps_ask_the_device_nothing() -> None:
-  """Reading a value back stops a GPU; a rollout does it not once."""
-  trained = runner(None, agent())
-  with Waits() as waits:
-    trained._collect(trained.env.get_observations())
-  assert waits.found == []
+def test_a_rollout_never_waits_for_the_device() -> None:
+  assert_no_waits(runner(None, agent()))
 
 
-def test_statistics_are_those_of_rsl_rl(tmp_path: Path) -> None:
-  from mjlab_rl.episode_statistics import EpisodeStatistics
-  from rsl_rl.utils import LogWriter
-  from rsl_rl.utils.logger import Logger
-
-  class Listening(LogWriter):
-    def add_scalar(self, tag: str, scalar_value: float, global_step: int) -> None: ...
-
+def test_statistics_equal_those_of_rsl_rl() -> None:
   logger = Logger(None, {"algorithm": {}}, {}, 60, False, 1, 0, "cpu")
-  logger.writer = Listening()
+  logger.writer = MagicMock()
   statistics = EpisodeStatistics(60, "cpu")
   assert statistics.means() == ()
   for step in range(40):
@@ -75,17 +64,19 @@ def test_statistics_are_those_of_rsl_rl(tmp_path: Path) -> None:
 
 
 def test_more_than_a_window_of_episodes_in_one_step_keeps_the_last() -> None:
-  from mjlab_rl.episode_statistics import WINDOW, EpisodeStatistics
-
   statistics = EpisodeStatistics(2 * WINDOW + 7, "cpu")
   rewards = torch.arange(2 * WINDOW + 7.0)
   statistics.add(rewards, torch.ones_like(rewards))
   assert statistics.means()[0] == pytest.approx(float(rewards[-WINDOW:].mean()))
 
 
-def test_termination_beats_time_out() -> None:
-  env = PointEnv(PointEnvCfg())
-  wrapped = RslRlVecEnvWrapper(env)
+@pytest.fixture
+def wrapped() -> RslRlVecEnvWrapper:
+  return RslRlVecEnvWrapper(PointEnv(PointEnvCfg()))
+
+
+def test_termination_takes_precedence_over_a_time_out(wrapped: RslRlVecEnvWrapper) -> None:
+  env: Any = wrapped.unwrapped
   env.state.zero_()
   env.state[0, 0] = 5.0
   env.episode_length_buf.fill_(env.max_episode_length - 1)
@@ -100,8 +91,7 @@ def test_finite_horizon_has_no_time_outs() -> None:
   assert "time_outs" not in wrapped.step(torch.zeros(4, 1))[3]
 
 
-def test_a_reset_begins_episodes_and_returns_their_observations() -> None:
-  wrapped = RslRlVecEnvWrapper(PointEnv(PointEnvCfg()))
+def test_a_reset_begins_episodes_and_returns_their_observations(wrapped: RslRlVecEnvWrapper) -> None:
   wrapped.step(torch.ones(4, 1))
   observations, _ = wrapped.reset()
   assert torch.equal(observations["actor"], wrapped.get_observations()["actor"])
@@ -109,13 +99,11 @@ def test_a_reset_begins_episodes_and_returns_their_observations() -> None:
   wrapped.close()
 
 
-def test_assigning_episode_lengths_keeps_their_memory() -> None:
-  env = PointEnv(PointEnvCfg())
-  wrapped = RslRlVecEnvWrapper(env)
-  address = env.episode_length_buf.data_ptr()
+def test_assigning_episode_lengths_keeps_their_memory(wrapped: RslRlVecEnvWrapper) -> None:
+  lengths = wrapped.unwrapped.episode_length_buf
   wrapped.episode_length_buf = torch.arange(4)
-  assert env.episode_length_buf.tolist() == [0, 1, 2, 3]
-  assert env.episode_length_buf.data_ptr() == address
+  assert wrapped.unwrapped.episode_length_buf is lengths
+  assert lengths.tolist() == [0, 1, 2, 3]
 
 
 def test_actions_are_clipped_before_the_environment_sees_them() -> None:
@@ -126,21 +114,21 @@ def test_actions_are_clipped_before_the_environment_sees_them() -> None:
   assert actions[0, 0] == -9.0
 
 
-def test_observations_of_consecutive_steps_do_not_alias() -> None:
-  wrapped = RslRlVecEnvWrapper(PointEnv(PointEnvCfg()))
+def test_observations_of_consecutive_steps_do_not_alias(wrapped: RslRlVecEnvWrapper) -> None:
   first = wrapped.step(torch.ones(4, 1))[0]
   before = first["actor"].clone()
   wrapped.step(torch.ones(4, 1))
   assert torch.equal(first["actor"], before)
 
 
-def test_learner_moves_to_another_number_of_worlds_and_says_so(tmp_path: Path) -> None:
+def test_a_learner_continues_in_another_number_of_worlds_with_a_message(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
   small = runner(tmp_path, agent())
   small.learn(2)
-  text = io.StringIO()
-  large = runner(None, agent(), worlds=6, console=Console("normal", text))
+  large = runner(None, agent(), worlds=6, console=Console())
   large.load(str(tmp_path / "model_2.pt"))
-  assert "world state was not restored: it was saved with 4 worlds, there are 6 now" in text.getvalue()
+  assert "world state was not restored: it was saved with 4 worlds, there are 6 now" in capsys.readouterr().out
   assert not large.is_world_state_restored
   assert large.current_learning_iteration == 2
   assert int(large.env.unwrapped.state_dict()["steps"]) == 12
@@ -164,17 +152,24 @@ def test_a_compiled_network_keeps_the_names_of_its_weights() -> None:
   assert compiled.alg.get_policy() is compiled.networks["actor"]
 
 
-def test_a_checkpoint_of_rsl_rl_restores_the_learner(tmp_path: Path) -> None:
+@pytest.mark.parametrize("infos", [None, {"env_state": {"common_step_counter": 42}}])
+def test_a_checkpoint_of_rsl_rl_restores_the_learner_and_the_step_counter_of_mjlab(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str], infos: Any
+) -> None:
   trained = runner(tmp_path, agent())
   trained.learn(2)
   path = tmp_path / "theirs.pt"
-  torch.save(trained.alg.save() | {"iter": 7, "infos": None}, path)
-  text = io.StringIO()
-  fresh = runner(None, agent(), console=Console("normal", text))
-  fresh.load(str(path))
+  torch.save(trained.alg.save() | {"iter": 7, "infos": infos}, path)
+  fresh = runner(None, agent(), console=Console())
+  env: Any = fresh.env.unwrapped
+  env.common_step_counter = torch.zeros((), dtype=torch.int64)
+  assert fresh.load(str(path)) == (infos or {})
   assert fresh.current_learning_iteration == 8
   assert_same(fresh.alg.critic.state_dict(), trained.alg.critic.state_dict())
-  assert "only the learner was restored" in text.getvalue()
+  said = capsys.readouterr().out
+  assert "only the learner was restored" in said
+  assert ("The environment's step counter continues at 42." in said) == (infos is not None)
+  assert int(env.common_step_counter) == (42 if infos else 0)
 
 
 def test_a_damaged_checkpoint_is_a_clear_error_wherever_it_was_cut(tmp_path: Path) -> None:
@@ -210,39 +205,30 @@ def test_a_step_size_that_is_changed_on_resuming_counts_where_nothing_else_chang
   assert (fresh.alg.learning_rate, fresh.alg.optimizer.param_groups[0]["lr"]) == (rate, rate)
 
 
-def only_policy(state: dict[str, Any]) -> dict[str, Any]:
-  return {key: value for key, value in state.items() if key in ("actor_state_dict", "iter", "mjlab")}
-
-
-def of_another_version(state: dict[str, Any]) -> dict[str, Any]:
-  return state | {"mjlab": state["mjlab"] | {"format": state["mjlab"]["format"] + 1}}
-
-
-def with_nan(state: dict[str, Any]) -> dict[str, Any]:
-  next(iter(state["critic_state_dict"].values())).fill_(float("nan"))
-  return state
-
-
-def with_code(state: dict[str, Any]) -> dict[str, Any]:
-  return state | {"actor_state_dict": os.system}
-
-
 @pytest.mark.parametrize(
   ("change", "message"),
   [
-    (only_policy, r"no critic and no optimizer in it; .* \(--init-from\)"),
-    (of_another_version, "written by another version"),
-    (with_nan, r"model_0\.pt: the file has NaN or infinite weights in critic: "),
-    (with_code, "not loaded"),
+    (
+      lambda state: [state.pop(f"{part}_state_dict") for part in ("critic", "optimizer")],
+      r"no critic and no optimizer in it; .* \(--init-from\)",
+    ),
+    (lambda state: state["mjlab"].update(format=2), "written by another version"),
+    (
+      lambda state: next(iter(state["critic_state_dict"].values())).fill_(float("nan")),
+      r"model_0\.pt: the file has NaN or infinite weights in critic: ",
+    ),
+    (lambda state: state.update(actor_state_dict=os.system), "not loaded"),
   ],
 )
-def test_from_a_checkpoint_that_lacks_something_or_holds_too_much_no_training_goes_on(
-  tmp_path: Path, change: Callable[[dict[str, Any]], dict[str, Any]], message: str
+def test_a_checkpoint_that_lacks_something_or_contains_too_much_is_refused(
+  tmp_path: Path, change: Callable[[dict[str, Any]], object], message: str
 ) -> None:
   trained = runner(tmp_path, agent())
   path = trained.checkpoint_path()
   trained.save(str(path))
-  torch.save(change(learner(path)), path)
+  state = learner(path)
+  change(state)
+  torch.save(state, path)
   with pytest.raises(FileError, match=message):
     trained.load(str(path))
 
@@ -289,18 +275,14 @@ def test_what_only_the_last_step_of_an_update_breaks_is_not_saved_either(tmp_pat
   assert checkpoints(tmp_path) == []
 
 
-def test_who_can_do_nothing_learns_nothing() -> None:
-  class StillPoint(PointEnv):
-    def __init__(self) -> None:
-      super().__init__(PointEnvCfg())
-      self.action_manager.total_action_dim = 0
-
+def test_an_environment_without_actions_is_refused(wrapped: RslRlVecEnvWrapper) -> None:
+  wrapped.num_actions = 0
   with pytest.raises(ConfigError, match="the environment has no actions"):
-    MjlabOnPolicyRunner(RslRlVecEnvWrapper(StillPoint()), agent(), console=QUIET)
+    MjlabOnPolicyRunner(wrapped, agent(), console=QUIET)
 
 
 @pytest.mark.parametrize("error", [OSError("disk full"), RuntimeError("unexpected pos 64 vs 0")])
-def test_a_failed_write_leaves_the_old_checkpoint_and_is_told(
+def test_a_failed_write_leaves_the_old_checkpoint_and_raises(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
   trained = runner(tmp_path, agent())
@@ -319,6 +301,18 @@ def test_a_failed_write_leaves_the_old_checkpoint_and_is_told(
   assert [file.name for file in tmp_path.iterdir()] == ["model_0.pt"]
 
 
+def at_step(number: int, trained: MjlabOnPolicyRunner, call: Callable[[], object]) -> None:
+  """Let a function be called at a step of the environment, counted from 1."""
+  step, count = trained.env.step, itertools.count(1)
+
+  def stepping(actions: torch.Tensor) -> Any:
+    if next(count) == number:
+      call()
+    return step(actions)
+
+  trained.env.step = stepping
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_iteration_and_saves(
   tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
@@ -326,17 +320,13 @@ def test_a_signal_ends_the_iteration_and_saves(
   # Both signals come at the same time, however busy the machine is.
   monkeypatch.setattr("mjlab_rl.stop_signals.time", SimpleNamespace(monotonic=lambda: 1.0))
   interrupted = runner(tmp_path, agent())
-  step, calls = interrupted.env.step, []
 
-  def stepping(actions: torch.Tensor) -> Any:
-    calls.append(1)
-    if len(calls) == 8:
-      os.kill(os.getpid(), number)
-      os.kill(os.getpid(), number)  # As a launcher passes it on.
-    return step(actions)
+  def stop() -> None:
+    os.kill(os.getpid(), number)
+    os.kill(os.getpid(), number)  # As a launcher passes it on.
 
-  interrupted.env.step = stepping
-  # What is ignored stays so: tests may have been started with `nohup`.
+  at_step(8, interrupted, stop)
+  # An ignored signal stays ignored: tests may have been started with `nohup`.
   hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
   handlers = [signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)]
   try:
@@ -351,23 +341,10 @@ def test_a_signal_ends_the_iteration_and_saves(
 def test_a_signal_at_the_end_of_an_iteration_waits_for_the_next_which_saves(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  class Late:
-    """Stop signals of which the first is seen when an iteration has been asked about once already."""
-
-    def __init__(self) -> None:
-      self.times_asked = 0
-
-    def __enter__(self) -> "Late":
-      return self
-
-    def __exit__(self, *_: object) -> None: ...
-
-    @property
-    def received(self) -> str | None:
-      self.times_asked += 1
-      return "SIGINT" if self.times_asked > 1 else None
-
-  monkeypatch.setattr("mjlab_rl.runner.StopSignals", Late)
+  reads = itertools.count()
+  # The signal arrives after the first read of an iteration.
+  received = property(lambda _: "SIGINT" if next(reads) else None, lambda *_: None)
+  monkeypatch.setattr(StopSignals, "received", received, raising=False)
   interrupted = runner(tmp_path, agent())
   interrupted.learn(50)
   assert interrupted.stopped_by == "SIGINT"
@@ -393,7 +370,7 @@ print("goes on")
   assert "Stopped at once" in done.stderr
 
 
-def test_what_was_told_to_ignore_a_closing_terminal_goes_on_doing_so() -> None:
+def test_nohup_stays_in_effect() -> None:
   code = """
 import os, signal
 from mjlab_rl.stop_signals import StopSignals
@@ -420,7 +397,8 @@ def test_every_iteration_is_a_row_and_checkpoints_come_at_the_interval(tmp_path:
   assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt", "model_4.pt", "model_5.pt"]
 
 
-def test_tensorboard_gets_the_same_values(tmp_path: Path) -> None:
+def test_tensorboard_gets_the_same_values_without_wandb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  monkeypatch.setitem(sys.modules, "wandb", None)
   runner(tmp_path, agent(logger="tensorboard")).learn(3)
   events = EventAccumulator(str(tmp_path)).Reload()
   with (tmp_path / "progress.csv").open(newline="") as file:
@@ -449,17 +427,6 @@ def test_wandb_gets_the_same_values_the_config_and_checkpoints_if_wanted(
   run.finish.assert_called_once()
 
 
-def test_wandb_is_imported_only_when_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setitem(sys.modules, "wandb", None)
-  runner(tmp_path, agent(logger="tensorboard")).learn(1)
-
-
-def test_wandb_that_is_not_installed_is_a_clear_error_before_anything_is_built(monkeypatch: pytest.MonkeyPatch) -> None:
-  monkeypatch.setitem(sys.modules, "wandb", None)
-  with pytest.raises(ConfigError, match="pip install wandb"):
-    agent(logger="wandb").to_rsl_rl()
-
-
 @pytest.mark.parametrize(
   ("path", "value", "message"),
   [
@@ -473,35 +440,23 @@ def test_wandb_that_is_not_installed_is_a_clear_error_before_anything_is_built(m
     ("actor.distribution_cfg", {"init_std": 0.0}, "actor.distribution_cfg.init_std must be positive, got 0.0"),
     ("actor.distribution_cfg", None, r"agent\.actor\.distribution_cfg is None"),
     ("actor.activation", "ellu", "agent.actor.activation 'ellu' does not exist. Nearest: elu"),
+    ("logger", "wandb", "pip install wandb"),
     ("experiment_name", "", r"agent\.experiment_name is ''"),
     *((field, name, rf"agent\.{field} is '{name}'") for field in NAMES for name in ("a/b", "../b", "..", ".")),
   ],
 )
-def test_impossible_settings_are_named_as_flags_name_them(path: str, value: object, message: str) -> None:
-  cfg = agent()
-  *parts, last = path.split(".")
-  setattr(functools.reduce(getattr, parts, cfg), last, value)
-  with pytest.raises(ConfigError, match=message):
-    cfg.to_rsl_rl()
+def test_impossible_settings_are_refused_by_their_flag(
+  monkeypatch: pytest.MonkeyPatch, path: str, value: object, message: str
+) -> None:
+  monkeypatch.setitem(sys.modules, "wandb", None)
+  refuse_setting(agent(), path, value, message)
 
 
 def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-  class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-      return True
-
   monkeypatch.setenv("TERM", "xterm")
   stream = Terminal()
   broken = runner(tmp_path, agent(), console=Console("normal", stream))
-  step, calls = broken.env.step, []
-
-  def stepping(actions: torch.Tensor) -> Any:
-    calls.append(1)
-    if len(calls) == 40:
-      raise RuntimeError("out of luck")
-    return step(actions)
-
-  broken.env.step = stepping
+  at_step(40, broken, MagicMock(side_effect=RuntimeError("out of luck")))
   with pytest.raises(RuntimeError, match="out of luck"):
     broken.learn(50)
   # The last command shows the cursor again.
@@ -547,65 +502,39 @@ def test_a_run_directory_rebuilds_and_continues_its_run(tmp_path: Path) -> None:
 
 
 def test_a_run_that_cannot_be_built_leaves_no_directory(tmp_path: Path) -> None:
-  def broken(cfg: PointEnvCfg, *, device: str) -> PointEnv:
-    raise ValueError("no such joint")
-
+  broken = MagicMock(side_effect=ValueError("no such joint"))
   task = TaskCfg(env=PointEnvCfg(), agent=agent())
   with pytest.raises(ValueError, match="no such joint"):
     train(task, name="Point", make_env=broken, log_root=tmp_path, console=QUIET)
   assert list(tmp_path.iterdir()) == []
 
 
-def test_the_environment_is_closed_when_training_fails(tmp_path: Path) -> None:
-  made: list[PointEnv] = []
-
-  def fail() -> dict[str, float]:
-    raise ArithmeticError
-
-  def failing(cfg: PointEnvCfg, *, device: str) -> PointEnv:
-    made.append(PointEnv(cfg, device=device))
-    made[0].drain_log = fail
-    return made[0]
-
+def test_the_environment_is_closed_when_training_fails() -> None:
+  failing = PointEnv(PointEnvCfg())
+  failing.drain_log = MagicMock(side_effect=ArithmeticError)
+  task = TaskCfg(env=failing.cfg, agent=agent())
   with pytest.raises(ArithmeticError):
-    train(TaskCfg(env=PointEnvCfg(), agent=agent()), name="P", make_env=failing, log_root=None, console=QUIET)
-  assert made[0].is_closed
+    train(task, name="P", make_env=lambda cfg, device: failing, log_root=None, console=QUIET)
+  assert failing.is_closed
 
 
 @pytest.mark.parametrize("part", ["step", "update", "drain_log"])
-def test_a_failure_in_a_step_or_an_update_saves_an_emergency_checkpoint_first(tmp_path: Path, part: str) -> None:
-  text = io.StringIO()
-  failing = runner(tmp_path, agent(), console=Console("normal", text))
+def test_a_failure_in_a_step_or_an_update_saves_an_emergency_checkpoint_first(
+  tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
+) -> None:
+  failing = runner(tmp_path, agent(), console=Console())
   failing.learn(2)
-
-  def fail(*_: object) -> None:
-    raise ConfigError("event 'push': broken")
-
   owner: Any = failing.alg if part == "update" else failing.env
-  setattr(owner, part, fail)
+  setattr(owner, part, MagicMock(side_effect=ConfigError("event 'push': broken")))
   with pytest.raises(ConfigError, match="event 'push': broken"):
     failing.learn(2)
   saved = tmp_path / "emergency_2.pt"
-  assert f"ConfigError in a step or update; saved {saved}, which --resume takes" in text.getvalue()
+  assert f"ConfigError in a step or update; saved {saved}, which --resume takes" in capsys.readouterr().out
   assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt"]
   resumed = runner(None, agent())
   resumed.load(str(saved))
   assert resumed.current_learning_iteration == 2
   resumed.learn(1)
-
-
-def test_the_step_counter_of_a_foreign_checkpoint_is_taken_over(tmp_path: Path) -> None:
-  trained = runner(tmp_path, agent())
-  path = tmp_path / "theirs.pt"
-  infos = {"env_state": {"common_step_counter": 42}}
-  torch.save(trained.alg.save() | {"iter": 7, "infos": infos}, path)
-  text = io.StringIO()
-  fresh = runner(None, agent(), console=Console("normal", text))
-  env: Any = fresh.env.unwrapped
-  env.common_step_counter = torch.zeros((), dtype=torch.int64)
-  assert fresh.load(str(path)) == infos
-  assert int(env.common_step_counter) == 42
-  assert "The environment's step counter continues at 42." in text.getvalue()
 
 
 def test_a_checkpoint_half_written_by_a_killed_run_is_removed_at_the_next_start(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ def model(obs: TensorDict, **options: Any) -> SpatialSoftmaxCNNModel:
   return SpatialSoftmaxCNNModel(obs, groups, "actor", 2, hidden_dims=(8,), **options)
 
 
-def test_a_sharp_peak_is_where_it_is_and_flat_features_are_in_the_middle() -> None:
+def test_a_sharp_peak_gives_its_place_and_flat_features_the_middle() -> None:
   features = torch.zeros(1, 3, 4, 6)
   features[0, 0, 1, 4] = 60.0
   features[0, 1, 3, 0] = 60.0
@@ -31,7 +31,7 @@ def test_a_sharp_peak_is_where_it_is_and_flat_features_are_in_the_middle() -> No
   assert places == pytest.approx([2 * 4 / 5 - 1, -1.0, 0.0, 2 * 1 / 3 - 1, 1.0, 0.0], abs=1e-6)
 
 
-def test_it_is_the_expected_place_under_the_softmax_at_its_temperature() -> None:
+def test_the_result_is_the_expected_place_at_a_temperature() -> None:
   features = torch.randn(2, 3, 5, 7, generator=torch.Generator().manual_seed(1))
   got = SpatialSoftmax(5, 7, temperature=0.5)(features).numpy()
   weight = np.exp(features.numpy() / 0.5)
@@ -50,7 +50,7 @@ def test_an_encoder_makes_64_numbers_of_an_image(
   assert network.get_latent(obs).shape == (3, 5 + 64)
   assert sum(p.numel() for p in network.cnns.parameters()) == weights
   assert network(obs).shape == (3, 2)
-  # They are its own, whatever CNNModel says of encoders that it is given.
+  # CNNModel prints that given encoders are shared; these are not.
   assert "Sharing" not in capsys.readouterr().out
 
 
@@ -61,13 +61,13 @@ def test_encoders_can_be_shared_and_configured_by_group() -> None:
   assert second.cnns["camera"] is first.cnns["camera"]
 
 
-def test_an_exported_model_does_the_same() -> None:
+def test_an_exported_model_gives_the_same_output() -> None:
   obs = observations()
   network = model(obs, cnn_cfg=CNN)
   exported = network.as_jit()(obs["actor"], [obs["camera"]])
   torch.testing.assert_close(exported, network(obs))
 
 
-def test_an_encoder_that_nobody_describes_is_refused() -> None:
+def test_an_encoder_without_settings_is_refused() -> None:
   with pytest.raises(ValueError, match="image groups need cnn_cfg"):
     model(observations())
