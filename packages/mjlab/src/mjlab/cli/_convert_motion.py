@@ -95,10 +95,8 @@ def run(wanted: Arguments, clips: list[str]) -> int:
   motions = _read(clips, robot, wanted)
   if wanted.preview and len(motions) > 1:
     raise UsageError(f"--preview shows one clip, not {len(motions)}; --concatenate joins them")
-  targets, pictures, films = (
-    _targets(flag, motions, ending, wanted)
-    for flag, ending in (("output", ".npz"), ("report", ".png"), ("video", ".mp4"))
-  )
+  endings = {"output": ".npz", "report": ".png", "video": ".mp4"}
+  files = [_targets(flag, motions, ending, wanted) for flag, ending in endings.items()]
   model: Any = preview_model(spec) if wanted.preview or wanted.video is not None else None
   has_errors = False
   with contextlib.ExitStack() as opened:
@@ -107,7 +105,7 @@ def run(wanted: Arguments, clips: list[str]) -> int:
       # Opened before anything is written: without OpenGL no part of the work is done.
       renderer = opened.enter_context(mjlab_viewer.OffscreenRenderer(model))
     show = opened.enter_context(progress_bar("converting", len(motions)))
-    for index, (motion, target, picture, film) in enumerate(zip(motions, targets, pictures, films, strict=True)):
+    for index, (motion, target, picture, film) in enumerate(zip(motions, *files, strict=True)):
       show(index, motion.name)
       has_errors |= not _write(motion, robot, target, picture, wanted)
       if film is not None:

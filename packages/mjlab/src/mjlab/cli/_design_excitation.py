@@ -1,33 +1,20 @@
 """`design-excitation TASK --fit PATTERN ... [flags]`: commands whose record identifies parameters of a robot well."""
 
 from dataclasses import dataclass
-from typing import Annotated
-
-from mjlab_core.constraints import Items
 
 from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
 from mjlab.cli._progress import stop_on_ctrl_c
-from mjlab.cli._sysid import print_iteration, robot_of, task_ranges
+from mjlab.cli._sysid import RobotArguments, print_iteration, robot_of, task_ranges
 
 
 @dataclass(kw_only=True)
-class Arguments(TaskArguments):
+class Arguments(RobotArguments, TaskArguments):
   """All that can be given after the task."""
 
-  fit: Annotated[tuple[str, ...], Items()] = ()
-  """Parameters to be fitted later, as in sysid: armature:.*_calf_joint."""
   joints: tuple[str, ...] = (".*",)
   """Patterns of the joints to move; the others hold their pose."""
-  entity: str = "robot"
-  """Name of the robot in the task's scene."""
   output: str = "excitation.csv"
   """Table of commands: time [s], and position_target/JOINT [rad or m]."""
-  force: bool = False
-  """Overwrite an existing file."""
-  height: float = 1.0
-  """Height of the held base above the world's origin [m]."""
-  floor: float | None = None
-  """Height of a floor that the robot must not touch [m]; None for no floor."""
   seconds: float = 10.0
   """Length [s]."""
   rate: float = 100.0
@@ -66,7 +53,7 @@ def run(wanted: Arguments, _: TaskLine) -> int:
   names = ("seconds", "highest", "share", "velocity", "noise", "rounds", "candidates", "seed")
   cfg = ExcitationCfg(period=1.0 / wanted.rate, **{field: getattr(wanted, field) for field in names})
   terms = [parse_term(text) for text in wanted.fit]
-  robot = robot_of(wanted.env, wanted.entity, height=wanted.height, floor=wanted.floor)
+  robot = robot_of(wanted.env, wanted)
   with stop_on_ctrl_c() as stopped:
     found = design_excitation(
       robot,

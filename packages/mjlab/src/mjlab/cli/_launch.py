@@ -1,5 +1,6 @@
 """Processes of `train --gpus` and `--hosts`: torch's own launcher on this host, and on others by ssh."""
 
+import itertools
 import os
 import shlex
 import signal
@@ -46,10 +47,9 @@ def launch(wanted: Any, line: TaskLine) -> int:
   if not any(word.startswith("--env.scene.num-envs") for word in line.given):
     num_envs = environments.default_num_envs(device, num_envs)
   if wanted.dry_run:
-    for rank in range(len(gpus) * len(launches)):
-      place = f"{hosts[rank // len(gpus)]} " if hosts else ""
-      gpu = gpus[rank % len(gpus)]
-      print(f"rank {rank}: {place}{gpu if gpu == 'cpu' else f'cuda:{gpu}'}, {num_envs} environments")
+    for rank, (host, gpu) in enumerate(itertools.product(hosts or [""], gpus)):
+      place = f"{host} {gpu if gpu == 'cpu' else f'cuda:{gpu}'}".strip()
+      print(f"rank {rank}: {place}, {num_envs} environments")
     print("\n".join(map(shlex.join, lines)))
     return 0
   environment = {} if device == "cpu" else {"CUDA_VISIBLE_DEVICES": ",".join(gpus)}

@@ -18,23 +18,33 @@ if TYPE_CHECKING:
 
 
 @dataclass(kw_only=True)
-class Arguments(CommonArguments):
+class RobotArguments(CommonArguments):
+  """Flags of commands about parameters of a task's robot."""
+
+  fit: Annotated[tuple[str, ...], Items()] = ()
+  """Parameters, each FIELD[.AXIS]:PATTERN[=LO..HI][,shared]: armature:.*_calf_joint."""
+  entity: str = "robot"
+  """Name of the robot in the task's scene."""
+  force: bool = False
+  """Overwrite existing files."""
+  height: float = 1.0
+  """Height of the held base above the world's origin [m]."""
+  floor: float | None = None
+  """Height of a floor [m]; None: no floor under a held base, 0 under a free one."""
+
+
+@dataclass(kw_only=True)
+class Arguments(RobotArguments):
   """All that can be given after the records."""
 
   task: str = ""
   """Task whose robot was recorded."""
-  fit: Annotated[tuple[str, ...], Items()] = ()
-  """Parameters, each FIELD[.AXIS]:PATTERN[=LO..HI][,shared]: armature:.*_calf_joint."""
   held_out: tuple[str, ...] = ()
   """Records that are only scored."""
-  entity: str = "robot"
-  """Name of the robot in the task's scene."""
   output: str = "identified.json"
   """Overlay file, for --env.scene.entities.robot.overlay of any command."""
   report: str | None = None
   """Report as HTML; None: that of the overlay, with suffix .html."""
-  force: bool = False
-  """Overwrite existing files."""
   resume: bool = False
   """Continue a fit that was ended, from its file OUTPUT.progress; the other arguments must be the same."""
   device: str = "auto"
@@ -45,10 +55,6 @@ class Arguments(CommonArguments):
   """Base of the robot in the records; free needs base_position and base_orientation in them."""
   imu: str | None = None
   """Site of the IMU; None: that of the model's first gyro or accelerometer."""
-  height: float = 1.0
-  """Height of the held base above the world's origin [m]."""
-  floor: float | None = None
-  """Height of a floor that the robot touched [m]; None: no floor under a held base, 0 under a free one."""
   window: float = 0.3
   """Length of the windows that are rolled out, each from a measured state [s]."""
   solver: Literal["gauss-newton", "cma"] = "gauss-newton"
@@ -89,7 +95,7 @@ def run(wanted: Arguments, paths: list[str]) -> int:
   cfg = IdentifyCfg(device=device, **{name: getattr(wanted, name) for name in names})
   records, held_out = read_records(paths), read_records(wanted.held_out) if wanted.held_out else []
   describe_records([*records, *held_out])
-  robot = robot_of(env, wanted.entity, height=wanted.height, floor=wanted.floor, base=wanted.base, imu=wanted.imu)
+  robot = robot_of(env, wanted, base=wanted.base, imu=wanted.imu)
   kept = Path(f"{output}.progress")
   with warnings.catch_warnings(record=True) as caught, stop_on_ctrl_c() as stopped:
     warnings.simplefilter("always")
@@ -130,13 +136,7 @@ def describe_records(records: "list[Record]") -> None:
 
 
 def robot_of(
-  env: Any,
-  entity: str = "robot",
-  *,
-  height: float = 1.0,
-  floor: float | None = None,
-  base: Literal["held", "free"] = "held",
-  imu: str | None = None,
+  env: Any, wanted: RobotArguments, *, base: Literal["held", "free"] = "held", imu: str | None = None
 ) -> "Robot":
   """Return the robot of a task's environment, as its records are explained.
 
@@ -147,6 +147,7 @@ def robot_of(
   from mjlab_actuators import ActuatorSet
   from mjlab_sysid import robot_on_ground, robot_on_stand
 
+  entity, floor = wanted.entity, wanted.floor
   built = env.scene.entities[check_name("entity", entity, env.scene.entities)].build(entity)
   missing = f"entity '{entity}' has no actuator models, so nothing commands it"
   cfgs = require(built.actuators, ActuatorSet, missing).cfgs
@@ -154,7 +155,7 @@ def robot_of(
   pose = {name: values[0] for name, values in built.initial_state.joint_pos.items() if len(values) == 1}
   if base == "free":
     return robot_on_ground(built.spec, cfgs, pose=pose, floor=0.0 if floor is None else floor, imu=imu)
-  return robot_on_stand(built.spec, cfgs, pose=pose, height=height, floor=floor, imu=imu)
+  return robot_on_stand(built.spec, cfgs, pose=pose, height=wanted.height, floor=floor, imu=imu)
 
 
 def task_ranges(env: Any) -> "dict[str, Range]":

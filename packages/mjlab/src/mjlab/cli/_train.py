@@ -13,12 +13,13 @@ from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
 from mjlab_rl import Console, RslRlDistillationRunnerCfg, find_checkpoint, with_agent
 from mjlab_rl.manifest import package_versions
+from mjlab_viewer import check_address
 
 from mjlab import environments
 from mjlab.cli._command_line import CommandLine, Loaded, TaskArguments, TaskLine, as_usage, building, take
 from mjlab.cli._launch import launch, restarted_from
 from mjlab.cli._policies import manifest_of
-from mjlab.cli._watching import watching
+from mjlab.cli._watching import watch
 from mjlab.registry import list_tasks, load_task, task_file
 
 
@@ -178,8 +179,9 @@ def _run(
   name: str, wanted: Arguments, console: "Console", *, is_watched: bool, is_from_file: bool, **options: Any
 ) -> int:
   """Train with viewers and films, and print the result; return the exit code."""
+  if wanted.viewer:
+    check_address(wanted.viewer_host, wanted.viewer_port)
   opened = contextlib.ExitStack()
-  watch = watching(wanted, name, console, opened)
   is_built = False
 
   def on_ready(env: "mjlab_rl.RlEnv", directory: Path | None) -> Callable[[], None] | None:
@@ -190,7 +192,8 @@ def _run(
     if console.is_verbose and (describe := getattr(env, "describe", None)) is not None:
       console.say(describe())
     console.say(f"run directory {directory}")
-    return watch(env, directory) if is_watched and (wanted.viewer or wanted.video) else None
+    is_shown = is_watched and (wanted.viewer or wanted.video)
+    return watch(wanted, name, console, opened, env, directory) if is_shown else None
 
   try:
     result = mjlab_rl.train(

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import mjlab_viewer
 from mjlab_rl import Console, IterationReport
 from mjlab_rl.console import duration
-from mjlab_viewer import check_address
 
 if TYPE_CHECKING:
   from mjlab_viewer.browser.training_panel import TrainingPanel
@@ -45,52 +44,42 @@ def until_interrupted(run: Callable[[], None]) -> int:
   return 0
 
 
-def watching(
-  wanted: Any, name: str, console: "Console", opened: contextlib.ExitStack
-) -> Callable[[Any, Path | None], Callable[[], None]]:
-  """Return the function that opens viewer and films of a training, as the flags of `train` request.
+def watch(
+  wanted: Any, name: str, console: "Console", opened: contextlib.ExitStack, env: Any, directory: Path | None
+) -> Callable[[], None]:
+  """Open viewer and films of a training as the flags of `train` request; return the function to call after a step.
 
-  It takes the environment and the run directory, returns the function to call after every step, and leaves the closing
-  to `opened`.
-
-  Raises:
-    MjlabError: The address of the viewer is not available.
+  Closing is left to `opened`.
   """
+  look = getattr(env.cfg, "viewer", None)
+  calls: list[Callable[[], None]] = []
   if wanted.viewer:
-    check_address(wanted.viewer_host, wanted.viewer_port)
+    viewer = mjlab_viewer.BrowserViewer(
+      env,
+      host=wanted.viewer_host,
+      port=wanted.viewer_port,
+      camera=None if look is None else look.camera(),
+      label=name,
+      # As by a scheduler: the training saves after the iteration.
+      on_stop=lambda: os.kill(os.getpid(), signal.SIGTERM),
+    )
+    opened.callback(viewer.close)
+    print(f"watch at {viewer.url}", flush=True)
+    if (panel := viewer.training) is not None:
+      console.on_report.append(lambda report: _show_on_page(panel, report))
+    calls.append(viewer.update)
+  if wanted.video and directory is not None:
+    interval, length = wanted.video_interval, wanted.video_length
+    picture = None if look is None else look.picture()
+    video = mjlab_viewer.TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
+    opened.callback(video.close)
+    calls.append(video.after_step)
 
-  def watch(env: Any, directory: Path | None) -> Callable[[], None]:
-    look = getattr(env.cfg, "viewer", None)
-    calls: list[Callable[[], None]] = []
-    if wanted.viewer:
-      viewer = mjlab_viewer.BrowserViewer(
-        env,
-        host=wanted.viewer_host,
-        port=wanted.viewer_port,
-        camera=None if look is None else look.camera(),
-        label=name,
-        # As by a scheduler: the training saves after the iteration.
-        on_stop=lambda: os.kill(os.getpid(), signal.SIGTERM),
-      )
-      opened.callback(viewer.close)
-      print(f"watch at {viewer.url}", flush=True)
-      if (panel := viewer.training) is not None:
-        console.on_report.append(lambda report: _show_on_page(panel, report))
-      calls.append(viewer.update)
-    if wanted.video and directory is not None:
-      interval, length = wanted.video_interval, wanted.video_length
-      picture = None if look is None else look.picture()
-      video = mjlab_viewer.TrainingVideo(env, directory / "videos", interval=interval, length=length, cfg=picture)
-      opened.callback(video.close)
-      calls.append(video.after_step)
+  def after_step() -> None:
+    for call in calls:
+      call()
 
-    def after_step() -> None:
-      for call in calls:
-        call()
-
-    return after_step
-
-  return watch
+  return after_step
 
 
 def _show_on_page(panel: "TrainingPanel", report: "IterationReport") -> None:

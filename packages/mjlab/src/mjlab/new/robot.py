@@ -93,11 +93,6 @@ def _settled(spec: mujoco.MjSpec, drives: Drives, qpos: np.ndarray) -> tuple[Dri
 
 def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
   """Return the files of the package `name`, except its model."""
-  files: dict[str, str | bytes] = {}
-  try:
-    files["robot.png"] = robot_picture(new.home, new.torso, new.feet)
-  except RenderingError as error:
-    new.robot.notes.append(f"no picture: {printable(error, 200)}")
   facts = {"name": name, "distribution": name.replace("_", "-"), "source": new.robot.source}
   feet, drives, model = new.feet, new.drives, new.robot.spec.copy().compile()
   solid, configs = colliding(model), drives.configs()
@@ -108,20 +103,27 @@ def robot_files(new: NewRobot, name: str) -> dict[str, str | bytes]:
     "foot_geoms": tuple(pattern(name) for foot in feet for name in foot.geoms),
     "action_scale": {pattern(joint): round(drives.action_scale(joint), 4) for joint in drives.servos},
   }
-  files[f"src/{name}/__init__.py"] = filled("robot/init.py.txt", **facts)
-  files[f"src/{name}/robot.py"] = filled(
-    "robot/robot.py.txt",
-    **facts,
-    **{key: source(value) for key, value in values.items()},
-    collision=textwrap.indent(source(tuple(pattern(model.geom(i).name) for i in solid)), "  ").lstrip(),
-    imports=", ".join(sorted({type(cfg).__name__ for cfg in configs})),
-    # The friction of feet has priority, unless the file gives priorities.
-    priority="{}" if model.geom_priority[solid].any() else "dict.fromkeys(FOOT_GEOMS, 1)",
-    actuators=textwrap.indent("".join(f"{call_source(cfg)},\n" for cfg in configs), "  "),
-  )
-  files[f"tests/test_{name}.py"] = filled("robot/test.py.txt", **facts, **_test(new))
-  files["pyproject.toml"] = filled("robot/pyproject.toml.txt", **facts)
-  picture = "![The robot and its guessed parts](robot.png)\n" if "robot.png" in files else ""
+  files: dict[str, str | bytes] = {
+    f"src/{name}/__init__.py": filled("robot/init.py.txt", **facts),
+    f"src/{name}/robot.py": filled(
+      "robot/robot.py.txt",
+      **facts,
+      **{key: source(value) for key, value in values.items()},
+      collision=textwrap.indent(source(tuple(pattern(model.geom(i).name) for i in solid)), "  ").lstrip(),
+      imports=", ".join(sorted({type(cfg).__name__ for cfg in configs})),
+      # The friction of feet has priority, unless the file gives priorities.
+      priority="{}" if model.geom_priority[solid].any() else "dict.fromkeys(FOOT_GEOMS, 1)",
+      actuators=textwrap.indent("".join(f"{call_source(cfg)},\n" for cfg in configs), "  "),
+    ),
+    f"tests/test_{name}.py": filled("robot/test.py.txt", **facts, **_test(new)),
+    "pyproject.toml": filled("robot/pyproject.toml.txt", **facts),
+  }
+  picture = ""
+  try:
+    files["robot.png"] = robot_picture(new.home, new.torso, feet)
+    picture = "![The robot and its guessed parts](robot.png)\n"
+  except RenderingError as error:
+    new.robot.notes.append(f"no picture: {printable(error, 200)}")
   report = "".join(f"- {line}\n" for line in new.report())
   files["README.md"] = filled("robot/README.md.txt", **facts, picture=picture, report=report)
   return files

@@ -40,7 +40,7 @@ def task_files(name: str, like: Family, robot: str) -> dict[str, str | bytes]:
     # Imports of first-party packages form a separate group.
     own = f"\nfrom {robot} import ACTION_SCALE, FEET, FOOT_BODIES, TORSO, {robot}\n"
     values["imports"] = own if robot else "from mjlab_robots import GO1_ACTION_SCALE, go1\n"
-    values["robot"] = filled("task/robot_own.txt", robot=robot) if robot else filled("task/robot_go1.txt")
+    values["robot"] = filled(f"task/robot_{'own' if robot else 'go1'}.txt", robot=robot)
     packages.append(robot.replace("_", "-") if robot else "mjlab-robots")
   listed = "".join(f'\n  "{package}",' for package in sorted(packages))
   return {
