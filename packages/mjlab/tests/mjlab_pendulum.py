@@ -1,4 +1,4 @@
-"""The smallest task that trains: a torque keeps a pole on a hinge upright."""
+"""Smallest task that trains: a torque keeps a pole on a hinge upright."""
 
 import warnings
 from collections.abc import Generator
@@ -94,7 +94,7 @@ def pendulum() -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 
 def taught() -> TaskCfg[ManagerBasedRlEnvCfg]:
-  """The same by imitation of who learned it by itself."""
+  """Return the task of imitating a policy of the pendulum."""
   task = pendulum()
   task.env.observations["teacher"] = task.env.observations.pop("critic")
   agent = RslRlDistillationRunnerCfg(
@@ -105,8 +105,8 @@ def taught() -> TaskCfg[ManagerBasedRlEnvCfg]:
 
 
 def write_onnx(checkpoint: Path, path: Path) -> None:
-  """Export a policy by the runner, whose own warnings are not ours."""
-  # Programs that only watch import nothing that learns.
+  """Export a policy by the runner, without its warnings."""
+  # Programs that only watch import no learner.
   from mjlab.environments import standard_env
   from mjlab_rl import CheckpointPolicy, load_run
 
@@ -120,7 +120,7 @@ def write_onnx(checkpoint: Path, path: Path) -> None:
 
 @contextmanager
 def registered() -> Generator[None]:
-  """Only this task is registered, beside those of packages."""
+  """Register this task only, beside those of packages."""
   with pytest.MonkeyPatch.context() as patched:
     patched.setattr(registry, "_registered", {})
     mjlab.register_task(TASK, pendulum)

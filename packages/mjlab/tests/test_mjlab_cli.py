@@ -61,7 +61,7 @@ def test_training_writes_a_run_that_can_be_rebuilt(tmp_path: Path, capsys: pytes
 
 
 def repository(folder: Path, **files: str) -> str:
-  """A repository with one commit; returns its name."""
+  """Make a repository with one commit; return its name."""
   folder.mkdir()
   for name, text in files.items():
     (folder / f"{name}.py").write_text(text)
@@ -73,9 +73,7 @@ def repository(folder: Path, **files: str) -> str:
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
-def test_the_commit_of_a_run_is_that_of_its_tasks_code_wherever_one_stands(
-  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_commit_of_a_run_is_that_of_the_code_of_its_task(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   code = "import mjlab_pendulum\n\n\ndef build():\n  return mjlab_pendulum.pendulum()\n"
   mine = repository(tmp_path / "mine", mjlab_task_of_mine=code)
   repository(tmp_path / "elsewhere")
@@ -104,12 +102,12 @@ def test_the_commit_of_a_run_is_that_of_its_tasks_code_wherever_one_stands(
     ("cpu", "native", True, "engine native, every step runs eagerly"),
   ],
 )
-def test_what_is_recorded_is_said(device: str, engine: str, capture: bool, said: str) -> None:
+def test_the_line_about_the_engine_names_recorded_parts(device: str, engine: str, capture: bool, said: str) -> None:
   sim = SimpleNamespace(device=torch.device(device), engine=engine, cfg=SimpleNamespace(capture=capture))
   assert _environment_line(SimpleNamespace(sim=sim)) == said
 
 
-def test_a_task_alone_is_enough(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_task_needs_no_flags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.chdir(tmp_path)
   assert cli.train([TASK]) == 0
   assert [path.name for path in checkpoints(*runs(Path("logs")))] == ["model_3.pt"]
@@ -128,7 +126,7 @@ def test_resume_takes_the_configuration_of_the_run(tmp_path: Path, capsys: pytes
   assert "not restored" not in capsys.readouterr().out
 
 
-def test_a_run_begins_as_the_policy_of_another_task(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_starts_from_the_policy_of_another_task(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
   assert train(tmp_path, "--quiet") == 0
   (teacher,) = runs(tmp_path)
@@ -160,16 +158,14 @@ def test_a_teacher_is_named_by_its_task(tmp_path: Path, capsys: pytest.CaptureFi
   assert f"imitating {checkpoint}, {checkpoint}\n" in capsys.readouterr().out
 
 
-def test_a_number_of_worlds_that_was_asked_for_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_given_number_of_environments_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr("mjlab.environments.default_num_envs", lambda device, configured: 2)
   for flags, worlds in (([], 2), (["--env.scene.num-envs", "8"], 8), (["--env.scene.num-envs=3"], 3)):
     assert train(tmp_path, "--agent.max-iterations", "1", *flags) == 0
     assert load_run(runs(tmp_path)[-1]).env.scene.num_envs == worlds
 
 
-def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(
-  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_names_that_the_terminal_cannot_show_are_escaped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   terminal = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
   monkeypatch.setattr(sys, "stdout", terminal)
   assert train(tmp_path / "Läufe", "--agent.max-iterations", "1") == 0
@@ -177,7 +173,7 @@ def test_a_name_that_the_terminal_has_no_letters_for_stops_nothing(
   assert b"L\\xe4ufe" in terminal.buffer.getvalue()
 
 
-def test_help_can_be_searched_and_is_that_of_a_command(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_of_a_task_can_be_searched(capsys: pytest.CaptureFixture[str]) -> None:
   shown = []
   for words in (["help", "list-envs"], *(["train", TASK, *more] for more in (["-h"], ["-h", "joint_speed"]))):
     assert cli.main(words) == 0
@@ -197,12 +193,12 @@ def test_list_envs_filters_and_succeeds(capsys: pytest.CaptureFixture[str]) -> N
   assert cli.list_envs(["no-such-task"]) == 0
 
 
-def test_traceback_is_shown_where_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_traceback_shows_the_traceback_of_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert train(tmp_path, "--env.decimation", "0", "--traceback") == 2
   assert "Traceback" in capsys.readouterr().err
 
 
-def test_what_learns_is_imported_neither_for_a_mistake_nor_where_nothing_learned_is_watched(tmp_path: Path) -> None:
+def test_mistakes_and_viewers_without_a_trained_policy_import_no_learner(tmp_path: Path) -> None:
   code = """
 import shlex, sys, mjlab.cli._play as play
 from mjlab.cli import main
@@ -231,7 +227,7 @@ for line in sys.argv[1:]:
   ("given", "set_by_import"),
   [({}, ["PASSIVE", "1000"]), ({"OMP_WAIT_POLICY": "ACTIVE"}, ["ACTIVE", None])],
 )
-def test_import_tells_torch_to_share_the_cores(given: dict[str, str], set_by_import: list[str]) -> None:
+def test_import_lets_threads_of_torch_sleep(given: dict[str, str], set_by_import: list[str]) -> None:
   names = ("OMP_WAIT_POLICY", "GOMP_SPINCOUNT")
   env = {name: value for name, value in os.environ.items() if name not in names} | given
   code = f"import os, sys, mjlab; assert 'torch' not in sys.modules; print([os.environ.get(name) for name in {names}])"
@@ -259,7 +255,7 @@ def test_ctrl_c_saves_and_exits_cleanly(
   assert [path.name for path in checkpoints(directory)] == ["model_2.pt"]
 
 
-def test_ctrl_c_ends_a_viewer_that_a_script_started_in_the_background() -> None:
+def test_ctrl_c_ends_a_viewer_that_started_in_the_background() -> None:
   code = (
     "import sys, mjlab, mjlab_pendulum; mjlab.register_task('Test-Pendulum', mjlab_pendulum.pendulum);"
     "from mjlab.cli import main; sys.exit(main(sys.argv[1:]))"
@@ -270,7 +266,7 @@ def test_ctrl_c_ends_a_viewer_that_a_script_started_in_the_background() -> None:
     assert viewer.interrupt().strip() == ""
 
 
-def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
+def test_a_diverged_environment_leaves_a_dump_that_viz_nan_explains(
   tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
   assert train(tmp_path, "--env.sim.gravity", "0", "0", "-1e308") == 0
@@ -293,7 +289,7 @@ def test_a_run_leaves_a_dump_of_a_world_that_diverged_and_viz_nan_explains_it(
   stored = [snapshot.data["qpos"][0] for snapshot in shown[-world.num_steps - 1 : -1]]
   qpos = world.states["qpos"][:-1]
   np.testing.assert_array_equal(stored, np.where(np.abs(qpos) <= 1e10, qpos, stored[-1]))
-  # Neither what is not finite nor what single precision overflows at.
+  # Values fit into single precision.
   assert all((np.abs(snapshot.data["xpos"]) < 1e12).all() for snapshot in shown)
 
   film = tmp_path / "film.mp4"

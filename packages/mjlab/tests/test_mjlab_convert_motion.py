@@ -35,7 +35,7 @@ def test_a_clip_is_shown_with_every_link_where_the_motion_file_has_it() -> None:
 
 
 @pytest.mark.parametrize("ground", ['<geom type="plane" size="5 5 .1"/>', ""], ids=["own ground", "no ground"])
-def test_a_robot_of_ones_own_stands_on_one_ground_and_wears_its_meshes(folder: Path, ground: str) -> None:
+def test_the_scene_of_an_mjcf_has_one_ground_and_its_meshes(folder: Path, ground: str) -> None:
   (folder / "robot" / "meshes").mkdir(parents=True)
   corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
   (folder / "robot" / "meshes" / "hull.obj").write_text(corners)
@@ -60,7 +60,7 @@ def test_a_film_has_at_most_30_frames_per_second(capsys: pytest.CaptureFixture[s
     assert container.streams.video[0].average_rate == 25
 
 
-def test_where_opengl_is_missing_one_line_says_so_and_nothing_is_written(
+def test_without_opengl_a_film_is_refused_and_nothing_is_written(
   folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   monkeypatch.setenv("MUJOCO_GL", "off")

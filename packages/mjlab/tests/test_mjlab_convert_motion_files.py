@@ -1,4 +1,4 @@
-"""`convert-motion`: edits, targets, mistakes, and files of strangers."""
+"""`convert-motion`: edits, targets, mistakes, and files from other people."""
 
 import json
 from pathlib import Path

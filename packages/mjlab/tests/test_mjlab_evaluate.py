@@ -1,4 +1,4 @@
-"""`evaluate` as a user and as CI meet it."""
+"""`evaluate`: reports, thresholds and exit codes."""
 
 import json
 import math
@@ -37,7 +37,7 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def run(logs: Path, pendulum_here: None) -> Path:
-  """A run of the test's own."""
+  """Copy of the run for one test."""
   shutil.copytree(logs, "logs")
   (run,) = Path("logs/pendulum").iterdir()
   return run
@@ -61,7 +61,7 @@ def test_the_newest_run_is_evaluated_as_it_was_trained_into_its_folder(
   assert f"wrote {folder}" in shown
 
 
-def test_an_evaluation_that_is_there_is_not_overwritten_unasked(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_evaluation_is_overwritten_only_with_force(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
   assert evaluate("--output", "mine") == 0
   before = Path("mine/evaluation.json").read_bytes()
   assert evaluate("--output", "mine") == 2
@@ -76,11 +76,11 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
   shown = capsys.readouterr().out
   assert "all: length 25 >= 25: yes" in shown
   assert ">= 99: NO" in shown
-  # Nothing belongs to no run.
+  # Actions without a run write no report.
   assert not Path("logs").exists()
 
 
-def test_progress_is_said_now_and_then_where_there_is_no_terminal(
+def test_progress_is_printed_in_lines_without_a_terminal(
   capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
   monkeypatch.setattr("mjlab.cli._progress.INTERVAL", 0.0)
@@ -91,7 +91,7 @@ def test_progress_is_said_now_and_then_where_there_is_no_terminal(
   assert re.fullmatch(r"evaluating: 48 %, 0 of 6 episodes done, ETA 0:\d\d:\d\d", lines[11])
 
 
-def test_the_report_on_a_policy_that_ships_is_written_where_the_user_is(
+def test_the_report_on_a_policy_in_a_package_is_written_into_the_working_folder(
   run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   package, here = tmp_path / "package", tmp_path / "here"
@@ -115,7 +115,7 @@ def test_two_evaluations_of_one_policy_agree(agent: str) -> None:
   assert numbers[0] == numbers[1]
 
 
-def test_an_exported_policy_is_judged_as_its_checkpoint_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_exported_policy_has_the_results_of_its_checkpoint(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
   exported = run / "policy.onnx"
   mjlab_pendulum.write_onnx(run / "model_3.pt", exported)
   model = onnx.load(exported)
@@ -137,7 +137,7 @@ def test_an_exported_policy_is_judged_as_its_checkpoint_is(run: Path, capsys: py
   assert "policy.onnx, 6 episodes on cpu" in capsys.readouterr().out
 
 
-def test_pictures_show_each_group_and_what_nobody_reached_is_left_out(tmp_path: Path) -> None:
+def test_pictures_show_each_group_without_missing_values(tmp_path: Path) -> None:
   seen: list[Figure] = []
 
   class Seen(Figure):
@@ -171,7 +171,7 @@ def test_pictures_show_each_group_and_what_nobody_reached_is_left_out(tmp_path: 
   assert isinstance(bars, LineCollection)
   ends = np.array(bars.get_segments())[:, :, 0]
   np.testing.assert_allclose(ends, [[mean - 0.1, mean + 0.2] for mean in (0.5, 0.25, 0.75)])
-  # In the middle of each second; "all" is no line beside its parts.
+  # In the middle of each second; "all" has no line beside its parts.
   error, playing = curves.axes
   assert [line.get_label() for line in error.lines] == ["a", "b"]
   np.testing.assert_array_equal([line.get_ydata() for line in error.lines], [lines["a"], lines["b"]])
@@ -198,7 +198,7 @@ def test_an_evaluation_with_actions_that_are_not_finite_fails(run: Path, capsys:
   assert "model_4.pt: the file has NaN or infinite weights in actor" in capsys.readouterr().err
 
 
-def test_a_grid_gives_worlds_values_in_turn(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_grid_plays_all_combinations(capsys: pytest.CaptureFixture[str]) -> None:
   words = ["Mjlab-Velocity-Flat-Unitree-Go1", "--agent", "zero", "--device", "cpu", "--quiet", "--eval.repeats", "1"]
   words += ["--eval.seconds", "0.06", "--grid", "payload=0,2.5 foot_friction_slide=0.3"]
   assert cli.main(["evaluate", *words]) == 0

@@ -216,19 +216,19 @@ def clip() -> str:
 
 
 @pytest.mark.parametrize(("line", "message", "code"), [*((*row, 2) for row in WRONG), *((*row, 1) for row in FAILED)])
-def test_what_is_refused_is_one_line_and_an_exit_code_and_writes_nothing(
+def test_a_refusal_is_one_line_and_an_exit_code_and_writes_nothing(
   line: str, message: str, code: int, clip: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
   files = FILES | {"march.csv": clip}
   for name, text in files.items():
     Path(name).write_text(text)
   assert cli.main(shlex.split(line)) == code
-  told = capsys.readouterr()
-  assert told.err.startswith("error: ")
-  assert told.err.count("\n") == 1
-  assert message in told.err
-  # Before anything is done.
-  assert not told.out or line.startswith(("train", "play", "convert-motion")) or "lenght" in line
+  shown = capsys.readouterr()
+  assert shown.err.startswith("error: ")
+  assert shown.err.count("\n") == 1
+  assert message in shown.err
+  # No work was done.
+  assert not shown.out or line.startswith(("train", "play", "convert-motion")) or "lenght" in line
   assert {path.name: path.read_text() for path in Path.cwd().iterdir()} == files
 
 

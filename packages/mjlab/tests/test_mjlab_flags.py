@@ -57,7 +57,7 @@ class EnvCfg:
 
 @dataclass(kw_only=True)
 class Line:
-  """What `train` reads: flags of its own and a configuration."""
+  """Flags of `train` and a configuration."""
 
   seed: int | None = None
   env: EnvCfg
@@ -119,17 +119,17 @@ def test_a_flag_sets_its_value_and_no_other(flag: str, name: str, value: Any) ->
   assert vars(changed) == vars(expected)
 
 
-def test_nothing_given_gives_the_same_objects_back() -> None:
+def test_no_flags_give_the_same_objects_back() -> None:
   line = Line(env=config())
   assert parse(line, []) is line
   assert parse(line, ["--seed", "1"]).env is line.env
 
 
-def test_a_value_that_is_there_already_may_be_given() -> None:
+def test_present_values_may_be_given() -> None:
   assert vars(put("--env.num-envs", "1", "--env.range", "0", "1", "--env.name", "a")) == vars(config())
 
 
-def test_a_term_is_changed_alone_even_where_it_is_shared() -> None:
+def test_a_shared_term_is_changed_in_one_place() -> None:
   changed = put("--env.rewards.foot-slip.weight", "-0.2")
   assert changed.rewards["foot_slip"] == TermCfg(func=max, weight=-0.2, params=SHARED.params)
   assert changed.rewards["other"] is SHARED
@@ -153,7 +153,7 @@ def test_an_untyped_parameter_keeps_its_kind(param: str, words: list[str], value
   assert type(term.params[param]) is type(value)
 
 
-def test_a_term_is_switched_off_with_none() -> None:
+def test_none_removes_a_term() -> None:
   assert put("--env.rewards.foot-slip", "None").rewards == {"foot_slip": None, "other": SHARED}
 
 
@@ -200,14 +200,14 @@ def test_keys_that_differ_in_hyphens_alone_are_one_flag() -> None:
     ),
   ],
 )
-def test_a_mistake_says_what_is_possible(given: str, message: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_mistake_names_what_is_allowed(given: str, message: str, capfd: pytest.CaptureFixture[str]) -> None:
   with pytest.raises(UsageError) as error:
     put(*given.split())
   assert str(error.value) == message
   assert capfd.readouterr() == ("", "")
 
 
-def test_what_cannot_be_typed_is_no_flag() -> None:
+def test_values_without_a_text_form_have_no_flag() -> None:
   names = {flag.name for flag in flags(Line(env=config()))}
   assert not {"env.hook", "env.rewards.foot-slip.func"} & names
 
@@ -243,7 +243,7 @@ def test_help_can_be_searched() -> None:
     help_of("foot_slp")
 
 
-def test_completion_knows_tasks_and_flags(capsys: pytest.CaptureFixture[str]) -> None:
+def test_completion_has_tasks_and_flags(capsys: pytest.CaptureFixture[str]) -> None:
   line = Line(env=config())
   print_completion({"Task": line, "Other": line}, prog="train", words=["--tyro-print-completion", "bash"])
   script = capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""`inspect-dr`: what events do is measured, shown, and held against what was asked."""
+"""`inspect-dr`: draws and effects of events beside their requests."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -48,7 +48,7 @@ def inspect(*flags: str) -> int:
   return cli.main(["inspect-dr", TASK, "--num-envs", "200", *flags])
 
 
-def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
+def test_every_event_is_shown_with_draws_and_request(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
   damping = randomize_field("dof_damping", "hinge", (0.5, 2.0), operation="scale", distribution="log_uniform")
@@ -77,7 +77,7 @@ def test_every_event_is_shown_with_what_was_drawn_beside_what_was_asked(
   assert [path.name for path in tmp_path.iterdir()] == ["events.png"]
 
 
-def test_an_event_that_does_nothing_or_not_what_was_asked_is_said_in_capitals_and_by_the_exit_code(
+def test_a_draw_without_effect_or_unlike_its_request_is_in_capitals_and_fails(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   calls = []
@@ -111,7 +111,7 @@ def damping_of(value: float) -> FieldRandomizer:
   return randomize_field("dof_damping", "hinge", (value, value))
 
 
-def test_a_task_that_cannot_be_built_says_why_in_a_line(
+def test_a_task_that_cannot_be_built_is_an_error_of_one_line(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   offer(monkeypatch, mass=body_mass("pol", (0.1, 0.2)))

@@ -40,7 +40,7 @@ def test_a_learner_trains_resumes_plays_is_evaluated_and_exported(
   assert "mjlab-deploy verify out" in capsys.readouterr().out
 
 
-def test_help_shows_the_flags_of_the_learner_that_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_shows_the_flags_of_the_given_learner(capsys: pytest.CaptureFixture[str]) -> None:
   task = "Mjlab-Cartpole-Balance"
   for words, flag in ((["--agent", "fastsac"], "combine"), ([], "clip-param"), (["--agent=flashsac"], "combine")):
     run("train", task, *words, "--help", "algorithm")

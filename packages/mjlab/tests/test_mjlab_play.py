@@ -1,4 +1,4 @@
-"""Watching: what is found, what it is built from, what is refused."""
+"""`play`, `demo`, `export-scene` and films of trainings."""
 
 import contextlib
 import shutil
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("pendulum")
 
 @pytest.fixture
 def watched(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-  """What a browser would have shown, and the checkpoints it would have offered; ten steps are taken of each."""
+  """Playbacks and checkpoints that viewers get; each takes ten steps."""
   seen: list[Any] = []
 
   def look(wanted: object, name: str, playback: Playback, checkpoints: object) -> int:
@@ -71,13 +71,13 @@ def test_the_newest_run_is_played_as_it_was_trained(
   assert "model_2.pt" in capsys.readouterr().out
   assert seen.playback.error is None
   assert seen.playback.step_count == 10
-  # The run's own weight, and the change for watching upon it.
+  # The weight of the run, with the change for watching.
   assert env.reward_manager.get_term_cfg("alive").weight == 7.0
   assert env.max_episode_length_s == 1e6
   assert env.num_envs == 8
 
 
-def test_a_window_is_opened_where_there_is_a_screen_and_a_page_elsewhere(
+def test_play_opens_a_window_on_a_screen_and_a_page_without_one(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   opened: list[str] = []
@@ -107,7 +107,7 @@ def test_the_keys_of_the_window_are_listed(
     assert f"  {key.replace(' ', 'SPACE'):5}  {action}\n" in said
 
 
-def test_a_checkpoint_of_a_run_and_flags_of_the_environment_are_taken(logs: Path, watched: list[Any]) -> None:
+def test_play_takes_a_checkpoint_and_flags_of_the_environment(logs: Path, watched: list[Any]) -> None:
   (checkpoint,) = logs.rglob("model_1.pt")
   assert play(logs, "--checkpoint", str(checkpoint), "--num-envs", "3", "--env.rewards.alive.weight", "2") == 0
   env = watched[0].env
@@ -115,7 +115,7 @@ def test_a_checkpoint_of_a_run_and_flags_of_the_environment_are_taken(logs: Path
   assert env.reward_manager.get_term_cfg("alive").weight == 2.0
 
 
-def test_checkpoints_of_the_run_can_be_swapped_while_it_runs(logs: Path, watched: list[Any]) -> None:
+def test_the_viewer_can_load_other_checkpoints_of_the_run(logs: Path, watched: list[Any]) -> None:
   assert play(logs) == 0
   checkpoints = watched[0].checkpoints
   assert checkpoints.names() == ["model_1.pt", "model_2.pt"]
@@ -128,7 +128,7 @@ def test_checkpoints_of_the_run_can_be_swapped_while_it_runs(logs: Path, watched
 
 
 @pytest.mark.usefixtures("watched")
-def test_a_student_acts_without_what_only_its_teacher_saw(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_student_acts_without_observations_of_its_teacher(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
   mjlab.register_task("Test-Taught", mjlab_pendulum.taught)
   (teacher,) = logs.rglob("model_2.pt")
   flags = ["--log-root", str(logs), "--device", "cpu"]
@@ -161,7 +161,7 @@ def test_without_terminations_only_time_ends_an_episode(tmp_path: Path, watched:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_film_is_overwritten_only_with_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   film = tmp_path / "film.mp4"
   flags = ["--agent", "random", "--video", str(film), "--video-length", "0.4", "--video-width", "64"]
   arguments = ["play", TASK, "--device", "cpu", "--log-root", str(tmp_path), *flags, "--video-height", "48"]
@@ -177,7 +177,7 @@ def test_a_film_is_written_headless_and_not_over_another(tmp_path: Path, capsys:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_a_film_that_is_interrupted_is_there_until_then_and_said(
+def test_an_interrupted_film_is_kept(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   step = Playback.step_once
@@ -197,10 +197,8 @@ def test_a_film_that_is_interrupted_is_there_until_then_and_said(
 
 
 @pytest.mark.usefixtures("opengl")
-def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
-  tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-  # Of primitives, whose places are told, also where there are meshes.
+def test_a_film_of_tracking_shows_the_reference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+  # Draw primitives, whose places are compared, although there may be meshes.
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   drawn: list[list[np.ndarray]] = []
   add = BackgroundVideo.add
@@ -226,7 +224,7 @@ def test_a_film_of_a_robot_that_follows_a_clip_has_its_reference_in_it(
     np.testing.assert_allclose(middles, expected, atol=1e-4)
 
 
-def test_a_film_where_opengl_is_missing_is_one_line(
+def test_a_film_without_opengl_is_refused_in_one_line(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   monkeypatch.setenv("MUJOCO_GL", "off")
@@ -235,7 +233,7 @@ def test_a_film_where_opengl_is_missing_is_one_line(
   assert capsys.readouterr().err == "error: no pictures: MUJOCO_GL=off switches OpenGL off\n"
 
 
-def test_an_exported_policy_plays_as_its_checkpoint_does(
+def test_an_exported_policy_acts_as_its_checkpoint(
   logs: Path, watched: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
   assert play(logs, "--num-envs", "3") == 0
@@ -269,13 +267,11 @@ def test_the_demo_comes_with_the_package_and_walks(monkeypatch: pytest.MonkeyPat
 
   monkeypatch.setattr(play_command, "_browser", look)
   assert cli.main(["demo", "--task", "go1", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
-  # Four seconds at 0.8 m/s, less what it takes to start and to turn.
+  # Four seconds at 0.8 m/s, less the time to start and turn.
   assert ((walked[0] > 2.4) & (walked[0] < 4.0)).all()
 
 
-def test_the_demo_lifts_too_to_where_it_is_told(
-  monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demo_lifts_to_the_given_goal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
   away: list[torch.Tensor] = []
 
   def look(wanted: object, name: str, playback: Playback, checkpoints: object) -> int:
@@ -295,7 +291,7 @@ def test_the_demo_lifts_too_to_where_it_is_told(
 
   monkeypatch.setattr(play_command, "_browser", look)
   assert cli.main(["demo", "--task=lift", "--device", "cpu", "--num-envs", "8", "--seed", "1"]) == 0
-  # Of eight that begin anywhere at most one may have slipped away.
+  # At most one of eight cubes may slip away.
   assert int((away[0] < 0.05).sum()) >= 7
 
 
@@ -349,7 +345,7 @@ def train(root: Path, *flags: str) -> int:
 
 
 @pytest.mark.usefixtures("opengl")
-def test_training_films_itself_and_learns_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_films_and_viewer_do_not_change_a_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   flags = ["--video", "--video-interval", "10", "--video-length", "4", "--viewer", "--viewer-port", "8310"]
   assert train(tmp_path / "watched", *flags) == 0
   assert "watch at http://localhost:83" in capsys.readouterr().out
@@ -366,7 +362,7 @@ def test_training_films_itself_and_learns_the_same(tmp_path: Path, capsys: pytes
     assert all(torch.equal(value, alone[part][key]) for key, value in watched[part].items())
 
 
-def test_training_goes_on_without_films_where_opengl_is_missing(
+def test_training_continues_without_films_if_opengl_is_missing(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
   monkeypatch.setenv("MUJOCO_GL", "off")

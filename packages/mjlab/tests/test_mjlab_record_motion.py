@@ -1,4 +1,4 @@
-"""`record-motion`: what happens in a simulation comes back as a clip."""
+"""`record-motion`: clips of simulations."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def record(*words: str) -> int:
   return cli.main(["record-motion", TASK, "--device", "cpu", "--agent", "zero", *words])
 
 
-def test_a_clip_is_what_the_robot_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_clip_has_the_motion_of_the_robot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   path = tmp_path / "still.npz"
   words = ["--output", str(path), "--seconds", "0.3", "--skip", "0.1", "--license", "CC0-1.0", "--seed", "3"]
   assert record(*words) == 0
@@ -37,11 +37,11 @@ def test_a_clip_is_what_the_robot_did(tmp_path: Path, capsys: pytest.CaptureFixt
       np.testing.assert_allclose(motion.joint_pos[frame], data.joint_pos[0], atol=1e-6)
       np.testing.assert_allclose(motion.root_pos[frame], data.root_link_pos_w[0], atol=1e-6)
       env.step(torch.zeros(1, 29))
-  # Any reader takes it, the bodies included.
+  # Readers accept it, with its bodies.
   read_motion(path, Kinematics(g1_spec(meshes="never").compile()))
 
 
-def test_a_rollout_that_ends_too_early_is_no_clip(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_episode_that_ends_too_early_is_an_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   path = tmp_path / "fallen.npz"
   assert record("--output", str(path), "--seconds", "8") == 1
   assert "the episode ended after" in capsys.readouterr().err

@@ -12,7 +12,7 @@ from mjlab_rl.encoding import decode, encode
 
 
 @pytest.fixture(autouse=True)
-def _registers_nothing_for_good(monkeypatch: pytest.MonkeyPatch) -> None:
+def _restored_registry(monkeypatch: pytest.MonkeyPatch) -> None:
   monkeypatch.setattr(registry, "_registered", {})
 
 
@@ -34,7 +34,7 @@ def test_an_id_is_registered_once(pendulum: str) -> None:
     mjlab.register_task(pendulum, mjlab_pendulum.pendulum)
 
 
-def test_what_is_no_function_that_returns_a_task_is_a_clear_error() -> None:
+def test_an_entry_point_must_return_a_task() -> None:
   wrong: dict[str, Any] = {"int": lambda: 3, "module": mjlab_pendulum}
   for kind, build in wrong.items():
     mjlab.register_task(f"Test-{kind}", build)

@@ -1,4 +1,4 @@
-"""`sweep`: the file of values, mistakes in it, results, and four trials where Ray is installed."""
+"""`sweep`: the file of values, mistakes in it, results, and trials if Ray is installed."""
 
 import csv
 import json
@@ -103,7 +103,7 @@ def results(folder: Path) -> list[list[dict[str, Any]]]:
 
 @needs_ray
 @pytest.mark.slow
-def test_four_trials_of_cartpole_that_ctrl_c_ends_go_on_with_resume(tmp_path: Path) -> None:
+def test_resume_continues_trials_that_ctrl_c_ended(tmp_path: Path) -> None:
   (tmp_path / "space.yaml").write_text(VALUES)
   folder = tmp_path / "logs" / "sweeps" / "four"
   with running(
@@ -126,7 +126,7 @@ def test_four_trials_of_cartpole_that_ctrl_c_ends_go_on_with_resume(tmp_path: Pa
 
 @needs_ray
 @pytest.mark.slow
-def test_a_population_copies_learners_and_changes_only_what_is_named(tmp_path: Path) -> None:
+def test_a_population_copies_learners_and_changes_only_named_values(tmp_path: Path) -> None:
   (tmp_path / "space.yaml").write_text(f"{VALUES}perturb: [{ENTROPY}]\n")
   words = (TASK, "--space", "space.yaml", "--trials", "4", "--name", "four", "--scheduler", "pbt")
   with running(COMMAND, *words, *SMALL, folder=tmp_path) as command:
@@ -145,7 +145,7 @@ def test_a_population_copies_learners_and_changes_only_what_is_named(tmp_path: P
 
 @needs_ray
 @pytest.mark.slow
-def test_trials_run_on_a_cluster_that_is_there(tmp_path: Path) -> None:
+def test_trials_run_on_a_cluster(tmp_path: Path) -> None:
   (tmp_path / "space.yaml").write_text(VALUES)
   words = (TASK, "--space", "space.yaml", "--trials", "2", "--scheduler", "none", "--name", "two")
   with running(COMMAND, *words, *SMALL, "--address", "127.0.0.1:1", folder=tmp_path) as command:

@@ -14,6 +14,7 @@ from mjlab_robots.go1 import go1
 from mjlab_scene import EntityCfg, read_overlay
 from mjlab_sysid import Identified, IdentifyCfg, Record, identify, parse_term, robot_on_stand, write_record
 
+GO1 = "Mjlab-Velocity-Flat-Unitree-Go1"
 CALF, THIGH = "FR_calf_joint", "FR_thigh_joint"
 TERMS = (
   f"armature:{CALF}=0.001..0.05",
@@ -25,7 +26,7 @@ TERMS = (
 
 
 def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Any, Record]:
-  """The Go1 on a stand at 5 ms a step, twice; the right front leg of one moved, with a delay of two steps."""
+  """Return the Go1 on a stand at 5 ms a step, and a record of its right front leg with a delay of two steps."""
   cfg = go1(meshes="never")
 
   def on_stand() -> Any:
@@ -56,13 +57,19 @@ def leg_record(seconds: float = 3.0) -> tuple[EntityCfg, Any, Record]:
   return cfg, on_stand(), Record(source="leg", joints=(THIGH, CALF), time=time, signals=signals)
 
 
+def fit(records: Path, *words: str) -> int:
+  """Run `sysid --fit WORDS`, which writes identified.json beside the records."""
+  output = str(records.with_name("identified.json"))
+  return cli.sysid([str(records), "--task", GO1, "--output", output, "--fit", *words])
+
+
 @pytest.fixture(scope="module")
 def leg() -> tuple[EntityCfg, Record, Identified]:
   cfg, robot, record = leg_record()
   return cfg, record, identify(robot, [record], [parse_term(text) for text in TERMS], IdentifyCfg(iterations=10))
 
 
-def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
+def test_a_robot_with_the_overlay_has_the_identified_parameters(
   leg: tuple[EntityCfg, Record, Identified], tmp_path: Path
 ) -> None:
   cfg, _, found = leg
@@ -93,7 +100,7 @@ def test_a_task_s_robot_with_the_overlay_has_what_was_identified(
 def test_the_flag_of_any_command_applies_the_overlay(leg: tuple[EntityCfg, Record, Identified], tmp_path: Path) -> None:
   _, _, found = leg
   found.save(tmp_path / "identified.json")
-  words = ["Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(tmp_path / "scene")]
+  words = [GO1, "--output", str(tmp_path / "scene")]
   assert cli.export_scene([*words, "--env.scene.entities.robot.overlay", str(tmp_path / "identified.json")]) == 0
   model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene" / "scene.xml"))
   assert model.joint(f"robot/{CALF}").armature[0] == pytest.approx(found.value(f"dof_armature:{CALF}"), rel=1e-5)
@@ -106,9 +113,8 @@ def test_the_command_writes_an_overlay_and_a_report(
   _, record, _ = leg
   records, output = tmp_path / "leg.npz", tmp_path / "identified.json"
   write_record(record, records)
-  words = [str(records), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(output)]
-  words += ["--fit", f"armature:{CALF}", "--iterations", "2"]
-  assert cli.sysid(words) == 0
+  words = (f"armature:{CALF}", "--iterations", "2")
+  assert fit(records, *words) == 0
   shown = capsys.readouterr().out
   assert f"dof_armature:{CALF}" in shown
   assert "fit: iteration 1, cost" in shown
@@ -117,11 +123,11 @@ def test_the_command_writes_an_overlay_and_a_report(
   page = output.with_suffix(".html").read_text()
   assert "data:image/png;base64," in page
   assert "http" not in page
-  assert cli.sysid(words) == 2
+  assert fit(records, *words) == 2
   assert "identified.json exists" in capsys.readouterr().err
 
 
-def test_a_fit_that_was_ended_is_resumed(
+def test_resume_continues_a_fit_that_was_ended(
   leg: tuple[EntityCfg, Record, Identified],
   tmp_path: Path,
   monkeypatch: pytest.MonkeyPatch,
@@ -129,17 +135,16 @@ def test_a_fit_that_was_ended_is_resumed(
 ) -> None:
   records, output = tmp_path / "leg.npz", tmp_path / "identified.json"
   write_record(leg[1].rows(slice(0, 100)), records)
-  words = [str(records), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--output", str(output)]
-  words += ["--fit", f"armature:{CALF}", f"stiffness:{THIGH}"]
+  words = (f"armature:{CALF}", f"stiffness:{THIGH}")
   with monkeypatch.context() as patch:
     # As if Ctrl-C came during the first iteration.
     patch.setattr("mjlab.cli._sysid.stop_on_ctrl_c", lambda: contextlib.nullcontext([2]))
-    assert cli.sysid(words) == 0
+    assert fit(records, *words) == 0
   assert "the same command with --resume continues it from" in capsys.readouterr().out
   assert Path(f"{output}.progress").exists()
-  assert cli.sysid([*words[:-1], "--resume"]) == 1
+  assert fit(records, words[0], "--resume") == 1
   assert "identified.json.progress: it is of other records, parameters or settings" in capsys.readouterr().err
-  assert cli.sysid([*words, "--resume"]) == 0
+  assert fit(records, *words, "--resume") == 0
   assert "stopped" not in capsys.readouterr().out
   assert not Path(f"{output}.progress").exists()
   scores = json.loads(output.read_text())["scores"]
@@ -166,25 +171,23 @@ def test_a_wrong_record_is_one_line(
   tmp_path: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
   (tmp_path / "leg.csv").write_text(RECORD_OF_LEG.replace(old, new))
-  words = [str(tmp_path / "leg.csv"), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", f"armature:{CALF}"]
-  assert cli.sysid([*words, "--output", str(tmp_path / "a.json")]) in (1, 2)
+  assert fit(tmp_path / "leg.csv", f"armature:{CALF}") in (1, 2)
   error = capsys.readouterr().err
   assert message in error
   assert error.count("\n") == 1
   assert {path.name for path in tmp_path.iterdir()} == {"leg.csv"}
 
 
-def test_a_gap_is_one_line_and_columns_come_in_any_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gap_is_one_warning_and_columns_have_any_order(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   lines = [",".join(reversed(line.split(","))) for line in RECORD_OF_LEG.splitlines()]
   (tmp_path / "leg.csv").write_text("\n".join((*lines[:30], *lines[40:])) + "\n")
-  words = [str(tmp_path / "leg.csv"), "--task", "Mjlab-Velocity-Flat-Unitree-Go1", "--fit", f"armature:{CALF}"]
-  assert cli.sysid([*words, "--output", str(tmp_path / "a.json"), "--window", "0.1", "--iterations", "1"]) == 0
+  assert fit(tmp_path / "leg.csv", f"armature:{CALF}", "--window", "0.1", "--iterations", "1") == 0
   shown = [line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: ")]
   assert len(shown) == 1
   assert "1 gaps, the longest of 0.11 s, while rows are 0.01 s apart; each begins a new stretch" in shown[0]
 
 
-def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg, Record, Identified]) -> None:
+def test_randomisation_has_the_width_of_the_uncertainty(leg: tuple[EntityCfg, Record, Identified]) -> None:
   found = leg[2]
   randomizers = {randomizer.field: randomizer for randomizer in found.randomizers(width=2.0)}
   assert set(randomizers) == {"dof_armature", "stiffness", "pseudo_inertia", "encoder_bias"}
@@ -198,6 +201,7 @@ def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg,
 @pytest.mark.parametrize(
   ("content", "message"),
   [
+    (None, r"overlay .*a\.json: no such file"),
     ("{", "overlay .*a.json: "),
     ("[]", "expected an object with format 'mjlab overlay 1'"),
     ({"model": {"dof_armatur": {"knee": 1.0}}}, "field 'dof_armatur' does not exist. Nearest: dof_armature"),
@@ -213,14 +217,10 @@ def test_randomisation_is_as_wide_as_the_records_are_vague(leg: tuple[EntityCfg,
 def test_a_wrong_overlay_is_refused_in_one_line(tmp_path: Path, content: object, message: str) -> None:
   text = json.dumps({"format": "mjlab overlay 1"} | content) if isinstance(content, dict) else str(content)
   path = tmp_path / "a.json"
-  path.write_text(text)
+  if content is not None:
+    path.write_text(text)
   cfg = go1(meshes="never")
   cfg.overlay = str(path)
   with pytest.raises(MjlabError, match=message) as raised:
     cfg.build("robot")
   assert "\n" not in str(raised.value)
-
-
-def test_a_missing_overlay_is_named(tmp_path: Path) -> None:
-  with pytest.raises(MjlabError, match=r"overlay .*nowhere\.json: no such file"):
-    read_overlay(tmp_path / "nowhere.json")

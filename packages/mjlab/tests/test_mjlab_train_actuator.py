@@ -1,4 +1,4 @@
-"""`train-actuator`: from a CSV to a network that an actuator config loads, and no file lost on the way."""
+"""`train-actuator`: from a CSV to a network that an actuator config loads."""
 
 import contextlib
 import os
@@ -19,7 +19,7 @@ QUICK = ["--epochs", "3", "--hidden", "8"]
 
 @pytest.fixture
 def records(tmp_path: Path) -> Path:
-  """Two seconds of a motor that is a spring, with a column that nobody asked for."""
+  """Two seconds of a motor that is a spring, with a column that is not read."""
   torch.manual_seed(0)
   error, velocity = torch.randn(2, 400).double()
   lines = ["time,position_target,position,velocity,effort,temperature"]
@@ -46,7 +46,7 @@ def test_a_network_a_plot_and_how_to_use_them(records: Path, capsys: pytest.Capt
   cfg.validate(["hinge"])
 
 
-def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_are_overwritten_only_with_force(records: Path, capsys: pytest.CaptureFixture[str]) -> None:
   for suffix in (".pt", ".png"):
     mine = records.with_suffix(suffix)
     mine.write_text("mine")
@@ -60,7 +60,7 @@ def test_nothing_is_overwritten_unasked(records: Path, capsys: pytest.CaptureFix
   assert torch.load(records.with_suffix(".pt"), weights_only=True)
 
 
-def test_ctrl_c_writes_what_was_learned(
+def test_ctrl_c_writes_the_network_so_far(
   records: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   def interrupted(done: float, note: str) -> None:

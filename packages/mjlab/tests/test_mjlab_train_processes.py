@@ -22,7 +22,7 @@ def processes(parent: int) -> dict[str, int]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_run_whose_process_dies_goes_on_by_itself_and_ctrl_c_ends_all(tmp_path: Path) -> None:
+def test_a_run_restarts_after_a_process_died_and_ctrl_c_ends_all(tmp_path: Path) -> None:
   flags = ["--device", "cpu", "--gpus", "2", "--max-restarts", "1", "--env.scene.num-envs", "4"]
   flags += ["--agent.max-iterations", "1_000_000", "--agent.save-interval", "1", "--agent.num-steps-per-env", "4"]
   with running(LAUNCH, TASK, *flags, folder=tmp_path) as command:
@@ -62,7 +62,7 @@ def test_processes_have_the_learner_of_the_command_line(capsys: pytest.CaptureFi
   assert f"--no-python train {TASK} --agent fastsac --device cpu\n" in capsys.readouterr().out
 
 
-def test_each_host_runs_torchrun_by_ssh_and_one_that_fails_ends_all(
+def test_each_host_runs_torchrun_by_ssh_and_a_failure_ends_all(
   tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
   ssh = tmp_path / "ssh"

@@ -19,7 +19,7 @@ def test_an_image_is_written_without_opengl(tmp_path: Path, capsys: pytest.Captu
   assert path.read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_image_is_written_whatever_there_is_of_opengl(tmp_path: Path) -> None:
+def test_an_image_is_written_with_and_without_opengl(tmp_path: Path) -> None:
   path = tmp_path / "stairs.png"
   command = [sys.executable, "-c", "from mjlab.cli import main; main()", "visualize-terrain", "stairs_up"]
   flags = ["--difficulty", "0.5", "--image", str(path), "--image-size", "160", "90"]

@@ -1,4 +1,4 @@
-"""Each robot as an entity: what the scene makes of its config is what the facts say."""
+"""Each robot as an entity, compared with the facts."""
 
 import json
 from collections.abc import Callable
@@ -29,7 +29,7 @@ def test_contact_parameters_follow_the_preset(name: str, preset: str) -> None:
     index = model.geom(geom["name"] or "camera_housing").id
     wanted = geom["contact_presets"][preset]
     collides = wanted["contype"] or wanted["conaffinity"]
-    # Of a shape that touches nothing, nothing else matters.
+    # Other parameters of a shape without contacts do not matter.
     for field in wanted if collides else ("contype", "conaffinity"):
       np.testing.assert_allclose(
         getattr(model, f"geom_{field}")[index], wanted[field], err_msg=f"{geom['name']} {field}"
@@ -66,7 +66,7 @@ def test_soft_limits_are_those_of_the_facts(name: str) -> None:
 
 
 @each_robot
-def test_each_config_is_a_copy_of_its_own(name: str) -> None:
+def test_configs_share_nothing(name: str) -> None:
   first, second = ROBOTS[name](meshes="never"), ROBOTS[name](meshes="never")
   assert first.articulation is not None
   assert second.articulation is not None
@@ -113,7 +113,7 @@ def test_servos_hold_the_robot_up(
 
 
 def grasping(collision: CollisionPreset) -> tuple[mujoco.MjModel, mujoco.MjData]:
-  """The arm at home on a floor, with a cube of 4 cm inside its forearm."""
+  """Return the arm at home on a floor, with a cube of 4 cm to move."""
   spec = yam(meshes="never", collision=collision).build("robot").spec
   spec.option.timestep = 0.005
   spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -133,7 +133,7 @@ def touching(model: mujoco.MjModel, data: mujoco.MjData) -> set[frozenset[str]]:
 
 
 @pytest.mark.parametrize("collision", ["full", "gripper_only"])
-def test_the_arm_at_home_touches_nothing_however_wide_it_opens(collision: CollisionPreset) -> None:
+def test_the_arm_at_home_touches_nothing_at_any_opening(collision: CollisionPreset) -> None:
   model, data = grasping(collision)
   _, high = model.joint("left_finger").range
   for opening in np.linspace(0.002, high, 5):
@@ -143,13 +143,13 @@ def test_the_arm_at_home_touches_nothing_however_wide_it_opens(collision: Collis
 
 
 @pytest.mark.parametrize("collision", ["full", "gripper_only"])
-def test_only_the_full_preset_stops_the_arm_at_things_the_floor_and_itself(collision: CollisionPreset) -> None:
+def test_only_the_full_preset_has_contacts_of_the_arm(collision: CollisionPreset) -> None:
   model, data = grasping(collision)
   data.mocap_pos[0] = data.geom("link3_1_collision").xpos
   mujoco.mj_forward(model, data)
   assert (frozenset({"cube", "link3_1_collision"}) in touching(model, data)) == (collision == "full")
   data.mocap_pos[0, 2] = -1.0
-  # Folded onto its own upper arm, and then laid down.
+  # The forearm is folded onto the upper arm, then the arm lies down.
   data.qpos[:6] = 1.0, 1.0, 0.15, -1.5, 1.0, 1.7
   mujoco.mj_forward(model, data)
   bodies = [{model.body(model.geom_bodyid[int(g)]).name for g in contact.geom} for contact in data.contact]
@@ -174,5 +174,5 @@ def test_the_servos_carry_the_arm() -> None:
   home = data.qpos.copy()
   mujoco.mj_step(model, data, nstep=600)
   assert np.abs(data.qvel).max() < 1e-3
-  # They are soft: 2 Hz on the inertia alone, with no feedforward of the arm's weight.
+  # They are soft (2 Hz) and do not compensate the weight of the arm.
   assert np.abs(data.qpos - home).max() < 0.25

@@ -14,13 +14,13 @@ import pytest
 from mjlab_actuators import ActuatorSet
 from mjlab_core.names import match_values_full
 
-# Relative to the largest entry. What we derive uses pi in full where the facts used eleven digits of it.
+# Relative to the largest entry. The facts used eleven digits of pi.
 TOLERANCE = 1e-9
 
 
 @dataclass(eq=False)
 class Robot:
-  """A robot of ours and what it must be."""
+  """Robot with its reference facts."""
 
   name: str
 
@@ -58,7 +58,7 @@ class Robot:
     ActuatorSet(self.constant("ACTUATORS")).edit_spec(spec)
     if any(joint.type == mujoco.mjtJoint.mjJNT_FREE for joint in spec.joints):
       return spec
-    # A scene places what does not float through a mocap body.
+    # A scene places a fixed base by a mocap body.
     scene = mujoco.MjSpec()
     base = scene.worldbody.add_body(name="mocap_base", mocap=True, pos=[0, 0, self.constant("DEFAULT_HEIGHT")])
     scene.attach(spec, prefix="", frame=base.add_frame())
@@ -84,27 +84,14 @@ def each(argument: str, section: str) -> pytest.MarkDecorator:
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
   with warnings.catch_warnings():
-    # Nobody saves it.
+    # The spec is not saved.
     warnings.filterwarnings("ignore", "Attaching a spec with an empty prefix")
     return spec.compile()
-
-
-def named(geom: dict[str, Any]) -> str:
-  """What we call a collision shape; one has no name in the facts."""
-  return geom["name"] or "camera_housing"
 
 
 def assert_equal(got: Any, wanted: Any, what: str) -> None:
   got, wanted = np.asarray(got, dtype=np.float64), np.asarray(wanted, dtype=np.float64)
   np.testing.assert_allclose(got, wanted, rtol=0.0, atol=TOLERANCE * np.abs(wanted).max(initial=0.0), err_msg=what)
-
-
-def assert_placed(robot: Robot, kind: str, index: int, wanted: dict[str, Any]) -> None:
-  """A geom, site or cam is on the body, at the position and in the rotation of its facts."""
-  model = robot.model
-  assert model.body(getattr(model, f"{kind}_bodyid")[index]).name == wanted["body"]
-  assert_equal(getattr(model, f"{kind}_pos")[index], wanted["pos"], "pos")
-  assert_same_rotation(getattr(model, f"{kind}_quat")[index], wanted["quat"], "quat")
 
 
 def assert_same_rotation(got: Any, wanted: Any, what: str) -> None:
@@ -170,21 +157,47 @@ def test_joint_equals_the_facts(robot: Robot, joint: dict[str, Any]) -> None:
     assert_equal(value, joint[name], name)
 
 
-@each("geom", "geoms_collision")
-def test_collision_shape_and_contact_preset_equal_the_facts(robot: Robot, geom: dict[str, Any]) -> None:
+# Numbers of a placed element in the model, by their names in the facts.
+PLACED = {
+  "geom": ("geoms_collision", ("size", "group")),
+  "site": ("sites", ("size", "group")),
+  "cam": ("cameras", ("resolution", "sensorsize")),
+}
+
+
+@pytest.mark.parametrize(
+  ("robot", "kind", "entry"),
+  [
+    pytest.param(robot, kind, entry, id=f"{robot.name}-{kind}-{entry['name']}")
+    for robot in ROBOTS
+    for kind, (section, _) in PLACED.items()
+    for entry in robot.facts[section]
+  ],
+)
+def test_geom_site_and_camera_equal_the_facts(robot: Robot, kind: str, entry: dict[str, Any]) -> None:
   model = robot.model
-  index = model.geom(named(geom)).id
-  assert mujoco.mjtGeom(model.geom_type[index]).name == f"mjGEOM_{geom['type'].upper()}"
-  assert_placed(robot, "geom", index, geom)
-  assert model.geom_group[index] == geom["group"]
-  assert_equal(model.geom_size[index], geom["size"], "size")
-  for name, value in geom["contact_presets"]["full"].items():
-    if value is not None:
-      assert_equal(getattr(model, f"geom_{name}")[index], value, name)
+  # One geom has no name in the facts.
+  index = getattr(model, kind)(entry["name"] or "camera_housing").id
+  got = {name: getattr(model, f"{kind}_{name}")[index] for name in (*PLACED[kind][1], "bodyid", "pos", "quat")}
+  assert model.body(got.pop("bodyid")).name == entry["body"]
+  assert_same_rotation(got.pop("quat"), entry["quat"], "quat")
+  wanted = dict(entry)
+  if kind == "cam":
+    assert mujoco.mjtCamLight(model.cam_mode[index]).name == f"mjCAMLIGHT_{entry['mode'].upper()}"
+    got |= {"fovy_deg": model.cam_fovy[index], "intrinsic_focal_xy_principal_xy": model.cam_intrinsic[index]}
+  else:
+    kinds = getattr(model, f"{kind}_type")
+    assert mujoco.mjtGeom(kinds[index]).name == f"mjGEOM_{entry['type'].upper()}"
+  if kind == "geom":
+    contact = {name: value for name, value in entry["contact_presets"]["full"].items() if value is not None}
+    got |= {name: getattr(model, f"geom_{name}")[index] for name in contact}
+    wanted |= contact
+  for name, value in got.items():
+    assert_equal(value, wanted[name], name)
 
 
 @each_robot
-def test_what_collides_is_exactly_the_listed_shapes(robot: Robot) -> None:
+def test_exactly_the_listed_shapes_collide(robot: Robot) -> None:
   model = robot.model
   colliding = {model.geom(i).name for i in range(model.ngeom) if model.geom_contype[i] or model.geom_conaffinity[i]}
   listed = robot.facts["geoms_collision"]
@@ -199,16 +212,6 @@ def test_excluded_pairs_equal_the_facts(robot: Robot) -> None:
   assert sorted(map(sorted, pairs)) == sorted(map(sorted, robot.facts["contact_excludes"]))
 
 
-@each("site", "sites")
-def test_site_equals_the_facts(robot: Robot, site: dict[str, Any]) -> None:
-  model = robot.model
-  index = model.site(site["name"]).id
-  assert_placed(robot, "site", index, site)
-  assert mujoco.mjtGeom(model.site_type[index]).name == f"mjGEOM_{site['type'].upper()}"
-  assert model.site_group[index] == site["group"]
-  assert_equal(model.site_size[index], site["size"], "size")
-
-
 @each("sensor", "sensors")
 def test_sensor_equals_the_facts(robot: Robot, sensor: dict[str, Any]) -> None:
   model = robot.model
@@ -219,18 +222,6 @@ def test_sensor_equals_the_facts(robot: Robot, sensor: dict[str, Any]) -> None:
     assert mujoco.mj_id2name(model, model.sensor_reftype[index], model.sensor_refid[index]) == sensor["refname"]
   got = (model.sensor_dim[index], model.sensor_adr[index], model.sensor_noise[index], model.sensor_cutoff[index])
   assert got == (sensor["dim"], sensor["adr"], sensor["noise"], sensor["cutoff"])
-
-
-@each("camera", "cameras")
-def test_camera_equals_the_facts(robot: Robot, camera: dict[str, Any]) -> None:
-  model = robot.model
-  index = model.camera(camera["name"]).id
-  assert_placed(robot, "cam", index, camera)
-  assert mujoco.mjtCamLight(model.cam_mode[index]).name == f"mjCAMLIGHT_{camera['mode'].upper()}"
-  assert_equal(model.cam_fovy[index], camera["fovy_deg"], "fovy")
-  assert_equal(model.cam_resolution[index], camera["resolution"], "resolution")
-  assert_equal(model.cam_sensorsize[index], camera["sensorsize"], "sensorsize")
-  assert_equal(model.cam_intrinsic[index], camera["intrinsic_focal_xy_principal_xy"], "intrinsic")
 
 
 @each_robot
@@ -311,9 +302,9 @@ def test_keyframes_and_default_pose_equal_the_facts(robot: Robot) -> None:
 
 
 @each_robot
-def test_counts_equal_the_facts_apart_from_what_is_only_drawn(robot: Robot) -> None:
+def test_counts_equal_the_facts_except_for_drawn_geoms(robot: Robot) -> None:
   drawn = {"ngeom", "nmesh", "nmat"}
-  # Facts were read from a configured robot, which has but one keyframe, its initial state.
+  # The facts are those of a configured robot, whose only keyframe is its initial state.
   for name, count in robot.facts["counts"].items():
     if name not in drawn | {"nkey", "total_mass"}:
       assert getattr(robot.model, name) == count, name
@@ -348,7 +339,7 @@ def test_lowest_point_of_the_default_pose_is_that_of_the_facts(robot: Robot) -> 
 
 
 @pytest.mark.parametrize("robot", [*ROBOTS, GO2], ids=lambda robot: robot.name)
-def test_what_is_drawn_has_neither_mass_nor_contact(robot: Robot) -> None:
+def test_drawn_geoms_have_neither_mass_nor_contact(robot: Robot) -> None:
   drawn = robot.model.geom_group == 2
   assert not (robot.model.geom_contype[drawn] | robot.model.geom_conaffinity[drawn]).any()
   bare = robot.configured_spec()
@@ -360,7 +351,7 @@ def test_what_is_drawn_has_neither_mass_nor_contact(robot: Robot) -> None:
     np.testing.assert_array_equal(getattr(robot.model, field), getattr(plain, field))
 
 
-# Symmetry augmentation is only valid on a symmetric robot. What is on the middle plane is not quite, in either robot.
+# Symmetry augmentation needs symmetric robots. Parts on the middle plane are not quite symmetric.
 LIMBS = [
   (robot, f"{end}L_{part}", f"{end}R_{part}")
   for robot in (ROBOTS[0], GO2)
@@ -374,7 +365,7 @@ LIMBS += [
     *("shoulder_pitch", "shoulder_roll", "shoulder_yaw", "elbow", "wrist_roll", "wrist_pitch", "wrist_yaw"),
   )
 ]
-# The robots' own figures, kept as they are: centres of mass 2 mm off, a shoulder mounted 10 um off, unlike shins.
+# Deviations in the figures of the robots, which are kept.
 KEPT = {
   "go1 FL_calf": {"ipos": 2e-3},
   "go1 RL_calf": {"ipos": 2e-3},

@@ -1,4 +1,4 @@
-"""The Go2 against the figures of its public MJCF in data/go2.json, and its own symmetry."""
+"""The Go2 compared with the figures of its public MJCF in data/go2.json, and its symmetry."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Meshes change what is seen, never what is simulated, and are never fetched unasked."""
+"""Meshes change pictures only, and are fetched on request only."""
 
 import json
 import os
@@ -32,14 +32,14 @@ needs_meshes = pytest.mark.skipif(
 
 @pytest.fixture
 def without_meshes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-  """An empty cache, and nowhere to fetch from."""
+  """Empty cache, and no releases to fetch."""
   monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
   monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
   monkeypatch.setenv("MENAGERIE_BASE_URL", (tmp_path / "releases").as_uri())
 
 
 def triangle_soup() -> bytes:
-  """The smallest solid: a tetrahedron in binary STL."""
+  """Return a tetrahedron in binary STL."""
   corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype="<f4")
   faces = [corners[list(face)] for face in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))]
   return bytes(80) + np.uint32(len(faces)).tobytes() + b"".join(bytes(12) + f.tobytes() + bytes(2) for f in faces)
@@ -69,7 +69,7 @@ def test_without_meshes_the_robot_is_drawn_from_primitives(name: str) -> None:
 
 @pytest.mark.usefixtures("without_meshes")
 @each_robot
-def test_required_meshes_that_are_missing_say_how_to_get_them(name: str) -> None:
+def test_the_error_about_missing_meshes_names_ways_to_get_them(name: str) -> None:
   with pytest.raises(FileError, match=rf"download_meshes\('{MENAGERIE[name]}'\).*MENAGERIE_ROOT"):
     ROBOTS[name]("require")
 
@@ -83,7 +83,7 @@ def test_an_old_python_is_named_before_a_download(monkeypatch: pytest.MonkeyPatc
 
 @unpacks
 @pytest.mark.usefixtures("published")
-def test_a_download_is_worn_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_download_is_drawn_and_kept(capsys: pytest.CaptureFixture[str]) -> None:
   with pytest.raises(FileError):
     go1_spec(meshes="require")
   assert go1_spec(meshes="download").compile().nmesh == FACTS["go1"]["counts"]["nmesh"]
@@ -95,7 +95,7 @@ def test_a_download_is_worn_and_kept(capsys: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.usefixtures("published")
 @pytest.mark.parametrize("mode", ["auto", "never", "require"])
-def test_nothing_is_downloaded_unasked(mode: MeshMode, tmp_path: Path) -> None:
+def test_only_the_mode_download_downloads(mode: MeshMode, tmp_path: Path) -> None:
   try:
     model = go1_spec(mode).compile()
   except FileError:
@@ -107,7 +107,7 @@ def test_nothing_is_downloaded_unasked(mode: MeshMode, tmp_path: Path) -> None:
 
 @unpacks
 @pytest.mark.usefixtures("without_meshes")
-def test_a_download_that_fails_says_where_from_and_what_else_there_is(tmp_path: Path) -> None:
+def test_the_error_about_a_download_names_its_address_and_alternatives(tmp_path: Path) -> None:
   with pytest.raises(FileError, match=r"releases/unitree_g1-.*MENAGERIE_ROOT.*meshes='auto'"):
     g1_spec(meshes="download")
   assert not list((tmp_path / "cache").rglob("*.STL"))
@@ -123,7 +123,7 @@ def test_a_broken_download_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("published")
-def test_a_set_menagerie_root_is_taken_as_it_is(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_menagerie_root_replaces_downloads(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   (tmp_path / "mine").mkdir()
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path / "mine"))
   with pytest.raises(FileError, match="MENAGERIE_ROOT"):
@@ -133,7 +133,7 @@ def test_a_set_menagerie_root_is_taken_as_it_is(monkeypatch: pytest.MonkeyPatch,
   assert not (tmp_path / "cache").exists()
 
 
-def test_a_folder_that_lacks_a_file_is_not_taken(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_folder_without_all_files_is_not_used(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   assets = tmp_path / "unitree_go1" / "assets"
   assets.mkdir(parents=True)
   (assets / "trunk.stl").touch()
@@ -159,7 +159,7 @@ def test_a_misspelt_mode_is_refused() -> None:
 
 @needs_meshes
 @each_robot
-def test_meshes_sit_where_the_facts_say(name: str) -> None:
+def test_meshes_have_the_places_of_the_facts(name: str) -> None:
   model, facts = ROBOTS[name]("require").compile(), FACTS[name]
   assert model.nmesh == facts["counts"]["nmesh"]
   assert model.ngeom == facts["counts"]["ngeom"]
