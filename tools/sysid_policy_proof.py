@@ -112,11 +112,11 @@ def excitation(robot: Robot, seconds: float, random: np.random.Generator) -> np.
 
 def stand(overlay: Path | None = None) -> Robot:
   """Return the robot of the task, held by its base, with an overlay."""
-  from mjlab.cli._sysid import robot_of
+  from mjlab.cli._sysid import RobotArguments, robot_of
 
   cfg = load_task(TASK).env
   cfg.scene.entities["robot"].overlay = None if overlay is None else str(overlay)
-  return robot_of(cfg)
+  return robot_of(cfg, RobotArguments())
 
 
 def record(path: Path, seconds: float = 20.0) -> None:
