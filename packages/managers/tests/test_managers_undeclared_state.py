@@ -54,17 +54,17 @@ def prepare(term: Any) -> None:
 
 
 CHANGES = {
-  "term.peak = torch.maximum(term.peak, term.env.values[:, 0])": r"put another tensor into self\.peak,",
-  "term.by_name['peak'] = term.by_name['peak'] + 1.0": r"put another tensor into self\.by_name\['peak'\],",
+  "term.peak = torch.maximum(term.peak, term.env.values[:, 0])": r"replaced, or wrote into, self\.peak,",
+  "term.by_name['peak'] = term.by_name['peak'] + 1.0": r"replaced, or wrote into, self\.by_name\['peak'\],",
   "term.frames = [term.env.values[:, 0].clone(), term.frames[0]]": (
-    r"put another tensor into self\.frames\[0\], self\.frames\[1\],"
+    r"replaced, or wrote into, self\.frames\[0\], self\.frames\[1\],"
   ),
-  "term.part.value = term.part.value + 1.0": r"put another tensor into self\.part\.value,",
-  "term.last = term.env.values[:, 0].clone()": r"put another tensor into self\.last,",
-  "term.peak.add_(1.0)": r"wrote into self\.peak,",
-  "term.by_name['peak'].add_(1.0)": r"wrote into self\.by_name\['peak'\],",
-  "term.frames[1].copy_(term.frames[0])": r"wrote into self\.frames\[1\],",
-  "term.part.value.mul_(0.5)": r"wrote into self\.part\.value,",
+  "term.part.value = term.part.value + 1.0": r"replaced, or wrote into, self\.part\.value,",
+  "term.last = term.env.values[:, 0].clone()": r"replaced, or wrote into, self\.last,",
+  "term.peak.add_(1.0)": r"replaced, or wrote into, self\.peak,",
+  "term.by_name['peak'].add_(1.0)": r"replaced, or wrote into, self\.by_name\['peak'\],",
+  "term.frames[1].copy_(term.frames[0])": r"replaced, or wrote into, self\.frames\[1\],",
+  "term.part.value.mul_(0.5)": r"replaced, or wrote into, self\.part\.value,",
 }
 WRITE_DECLARED = "term.declared.add_(1.0)"
 
@@ -188,13 +188,13 @@ def test_a_reset_that_replaces_a_tensor_is_refused(env):
       self.peak = torch.zeros(self.num_envs)
 
   params = {"change": WRITE_DECLARED, "kind": "reward"}
-  with pytest.raises(ConfigError, match=r"term 't': a trial call put another tensor into self\.peak,"):
+  with pytest.raises(ConfigError, match=r"term 't': a trial call replaced, or wrote into, self\.peak,"):
     RewardManager({"t": RewardTermCfg(Forgetful, weight=1.0, params=params)}, env)
 
 
 def test_a_change_of_parameters_is_tried_in_the_same_way(env):
   manager = MANAGERS["reward"](env, WRITE_DECLARED)
-  with pytest.raises(ConfigError, match=r"term 't': a trial call wrote into self\.peak,"):
+  with pytest.raises(ConfigError, match=r"term 't': a trial call replaced, or wrote into, self\.peak,"):
     manager.set_params("t", change="term.peak.add_(1.0)")
   assert manager.term("t").given["change"] == WRITE_DECLARED
 

@@ -221,14 +221,12 @@ class CommandManager(ManagerBase[CommandTermCfg]):
 
   def log_tensors(self) -> tuple[list[str], torch.Tensor]:
     """Return `Metrics/<command>/<metric>`, means over the episodes that ended, and the `log_values` of terms."""
-    names, values = self._log.tensors()
+    names, means = self._log.tensors()
     own: dict[str, torch.Tensor] = {}
     for name, term in self._terms.items():
-      values_of_term = call_named(self.label, name, term.log_values)
-      own |= {f"Metrics/{name}/{key}": value for key, value in values_of_term.items()}
-    if not own:
-      return names, values
-    return [*names, *own], torch.cat((values, torch.stack([value.double() for value in own.values()])))
+      values = call_named(self.label, name, term.log_values)
+      own |= {f"Metrics/{name}/{key}": value.double().reshape(1) for key, value in values.items()}
+    return [*names, *own], torch.cat((means, *own.values()))
 
   def load_progress(self, state: Mapping[str, Any]) -> None:
     """Load the parts of a `state_dict` that do not depend on the number of worlds, term by term."""

@@ -59,16 +59,17 @@ class EventManager(ManagerBase[EventTermCfg]):
     self.model_fields = self._written_fields(self._terms.values())
     """Model fields that terms write per world. They must be expanded before the first event."""
 
+    def options(names: list[str], field: str, dtype: torch.dtype) -> torch.Tensor:
+      return torch.tensor([[getattr(self._cfgs[name], field) for name in names]], dtype=dtype, device=self.device)
+
     self._timed = [term.name for term in self._modes["interval"]]
-    is_global = torch.tensor([[self._cfgs[name].is_global_time for name in self._timed]], dtype=torch.bool)
-    self._global = is_global.to(self.device) if is_global.any() else None
-    ranges = torch.tensor([self._cfgs[name].interval_range_s for name in self._timed], dtype=torch.float64)
-    self._lo, self._hi = ranges.view(1, -1, 2).to(self.device).unbind(2)
+    is_global = options(self._timed, "is_global_time", torch.bool)
+    self._global = is_global if is_global.any() else None
+    self._lo, self._hi = options(self._timed, "interval_range_s", torch.float64).view(1, -1, 2).unbind(2)
     self._time_left = self.state_of(self._draw())
 
     self._gated = [term.name for term in self._modes["reset"] if self._cfgs[term.name].min_step_count_between_reset > 0]
-    steps = [self._cfgs[name].min_step_count_between_reset for name in self._gated]
-    self._min_steps = torch.tensor([steps], dtype=torch.int64, device=self.device)
+    self._min_steps = options(self._gated, "min_step_count_between_reset", torch.int64)
     self._last_fired = self.state((len(self._gated),), fill=_NEVER, dtype=torch.int64)
 
   @classmethod

@@ -88,9 +88,8 @@ class ObservationManager(ManagerBase[Any]):
   def _slot(self, term: Term, shape: tuple[int, ...]) -> TermLayout:
     group, _, name = term.name.partition("/")
     group_cfg, cfg = self._groups[group], self._cfgs[term.name]
-    history, flatten = cfg.history_length, cfg.flatten_history_dim
-    if group_cfg.history_length is not None:
-      history, flatten = group_cfg.history_length, group_cfg.flatten_history_dim
+    given = cfg if group_cfg.history_length is None else group_cfg
+    history, flatten = given.history_length, given.flatten_history_dim
     width, out_shape = math.prod(shape), shape
     if history > 0:
       out_shape = (history * width,) if flatten else (history, *shape)
@@ -320,14 +319,20 @@ class ObservationManager(ManagerBase[Any]):
     return [(path, row[slot.out]) for path, slot in self._slots.items()]
 
   def describe(self) -> str:
-    rows = []
-    for slot in self._slots.values():
-      cfg = slot.cfg
-      noise = "" if slot.noise is None else type(slot.noise).__name__
-      lag = f"{cfg.delay_min_lag} to {cfg.delay_max_lag}" if cfg.delay_max_lag else ""
-      optional = ["" if value is None else value for value in (cfg.clip, cfg.scale)]
-      rows.append((slot.group, slot.name, slot.shape, noise, *optional, lag, slot.history_length or ""))
     columns = ("group", "term", "shape", "noise", "clip", "scale", "delay", "history")
+    rows = [
+      (
+        slot.group,
+        slot.name,
+        slot.shape,
+        None if slot.noise is None else type(slot.noise).__name__,
+        slot.clip,
+        slot.scale,
+        (slot.cfg.delay_min_lag, slot.cfg.delay_max_lag),
+        slot.history_length,
+      )
+      for slot in self._slots.values()
+    ]
     return table(columns, rows, title="Observations")
 
 

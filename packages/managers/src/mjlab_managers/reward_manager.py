@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from itertools import compress
 from typing import Any
@@ -50,8 +50,8 @@ class RewardManager(VectorManager[RewardTermCfg]):
 
   def _make(self) -> None:
     self._scale = self.env.step_dt if self.scale_by_dt else 1.0
-    self._host_weights = self._read_host_weights()
-    weights = torch.tensor([self._host_weights], dtype=torch.float32, device=self.device)
+    self._host_weights = self._read_weights()
+    weights = torch.tensor([list(self._host_weights.values())], dtype=torch.float32, device=self.device)
     self._weights = self.state_of(weights, shared=True)
     # Terms with a weight that is set on the device. The host cannot know if it is 0.
     self._on_device: set[str] = set()
@@ -100,32 +100,32 @@ class RewardManager(VectorManager[RewardTermCfg]):
 
   def sync(self) -> None:
     """Read changed weights from the configs, on the host before each step."""
-    weights = self._read_host_weights()
-    if weights == self._host_weights:
+    weights = self._read_weights()
+    changed = [name for name, weight in weights.items() if weight != self._host_weights[name]]
+    if not changed:
       return
-    for name, weight in zip(self._terms, weights, strict=True):
+    for name in changed:
       with self._noting(name):
-        check_value("weight", weight, Finite)
+        check_value("weight", weights[name], Finite)
     self._report()
-    for index, (new, old) in enumerate(zip(weights, self._host_weights, strict=True)):
-      if new != old:
-        self._weights[0, index].fill_(new)
     self._host_weights = weights
+    self._write_weights(changed)
     self._update_activity()
 
   def restore(self, state: Mapping[str, Any], mask: torch.Tensor | None = None) -> None:
     super().restore(state, mask)
     # A weight from the config takes precedence; only weights that curricula set on the device are part of the state.
-    for index, (name, weight) in enumerate(zip(self._terms, self._host_weights, strict=True)):
-      if name not in self._on_device:
-        self._weights[0, index].fill_(weight)
+    self._write_weights(name for name in self._terms if name not in self._on_device)
 
-  def _read_host_weights(self) -> list[float]:
-    return [self._cfgs[name].weight for name in self._terms]
+  def _read_weights(self) -> dict[str, float]:
+    return {name: cfg.weight for name, cfg in self._cfgs.items()}
+
+  def _write_weights(self, names: Iterable[str]) -> None:
+    for name in names:
+      self._weights[0, self._column(name)].fill_(self._host_weights[name])
 
   def _read_active(self) -> list[bool]:
-    weights = zip(self._terms, self._host_weights, strict=True)
-    return [weight != 0.0 or name in self._on_device for name, weight in weights]
+    return [weight != 0.0 or name in self._on_device for name, weight in self._host_weights.items()]
 
   def _update_activity(self) -> None:
     before, self._active = self._active, self._read_active()

@@ -103,7 +103,7 @@ class PlainTensors(TorchDispatchMode):
     return func(*map_aggregate(args, self._replaced), **map_aggregate(kwargs or {}, self._replaced))
 
 
-def undeclared_memory(obj: Any) -> dict[str, tuple[int, int]]:
+def _undeclared_memory(obj: Any) -> dict[str, tuple[int, int]]:
   """Return address and number of writes of each tensor of a class term that is not declared as state.
 
   Writes are counted only for memory that the term owns, not for views or arrays of a simulation.
@@ -117,19 +117,16 @@ def undeclared_memory(obj: Any) -> dict[str, tuple[int, int]]:
 
 @contextmanager
 def only_declared(obj: Any) -> Generator[None]:
-  """Refuse writes of a trial call to tensors of a class term that are not declared as state.
+  """Refuse changes of a trial call to tensors of a class term that are not declared as state.
 
   Raises:
     MjlabError: the call replaced such a tensor, or wrote into one.
   """
-  before = undeclared_memory(obj)
+  before = _undeclared_memory(obj)
   yield
-  after = undeclared_memory(obj)
-  moved = [path for path in after if path not in before or before[path][0] != after[path][0]]
-  if written := [path for path in after if before.get(path) != after[path]]:
-    act = "put another tensor into" if moved else "wrote into"
-    why = "which a recorded step cannot follow" if moved else "which is not declared, so it is not saved with a run"
+  if changed := [path for path, memory in _undeclared_memory(obj).items() if before.get(path) != memory]:
     raise MjlabError(
-      f"a trial call {act} {', '.join(moved or written)}, {why}. Declare state in __init__, self.x = self.state(...), "
-      "and write into it: copy_, mul_, where_."
+      f"a trial call replaced, or wrote into, {', '.join(changed)}, which is not declared as state: a recorded step "
+      "cannot follow another tensor, and a checkpoint does not contain it. Declare state in __init__, "
+      "self.x = self.state(...), and write into it: copy_, mul_, where_."
     )
