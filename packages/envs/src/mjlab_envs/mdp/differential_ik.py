@@ -1,7 +1,7 @@
 """Differential inverse kinematics: the policy sets the goal of a frame, damped least squares the joint positions."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import torch
 from mjlab_core import (
@@ -29,53 +29,6 @@ FrameType = Literal["body", "site", "geom"]
 AboveZero = Annotated[float, Limits(gt=0, finite=False)]
 
 
-@dataclass(kw_only=True)
-class DifferentialIKActionCfg(DrivenTargetsCfg):
-  """Action that moves a frame of the robot by position targets of the joints that carry it.
-
-  The goal of the frame is fixed once for each environment step. Before every physics substep, dq of
-
-    (wp^2 Jp'Jp + wo^2 Jr'Jr + wl^2 diag(v) + wq^2 I + damping^2 I) dq
-      = wp^2 Jp'ep + wo^2 Jr'er + wl^2 v r + wq^2 (p - q)
-
-  is limited to `max_dq` joint by joint, and q + dq becomes the target, within `clip`. Jp and Jr are the frame's
-  Jacobians, ep and er the way to the goal, v marks joints outside their soft limits, r is the way back inside, p the
-  posture. A controller behind biased encoders computes the same: q is their reading, and the frame is where
-  this reading puts it, to first order of the bias.
-
-  Columns: the change of position (3) and the rotation vector of the change of orientation (3), both along the axes of
-  the entity's root; or, in absolute mode, position (3) and quaternion (4) in the root's frame. Without an orientation
-  weight only the first three.
-  """
-
-  frame_name: str
-  """Pattern of the frame; it must match exactly one."""
-  frame_type: FrameType = "body"
-  use_relative_mode: bool = True
-  """True: actions are changes; False: actions are poses."""
-  relative_to: Literal["pose", "goal"] = "pose"
-  """Base of changes: the frame's pose, which lets an arm sink under its weight, or the goal of the previous step."""
-  max_lead: tuple[AboveZero, AboveZero] = (0.1, 0.5)
-  """Greatest distance of the goal from the frame with relative_to="goal" [m, rad]."""
-  delta_pos_scale: float = 1.0
-  """Metres per unit of action, relative mode."""
-  delta_ori_scale: float = 1.0
-  """Radians per unit of action, relative mode."""
-  damping: Annotated[float, Limits(ge=1e-6)] = 0.05
-  """Damping factor; larger values keep dq small near singular poses and slow the frame down; at least 1e-6."""
-  max_dq: AboveZero = 0.5
-  """Largest dq of a joint [rad, m]."""
-  position_weight: NonNegative = 1.0
-  orientation_weight: NonNegative = 1.0
-  joint_limit_weight: NonNegative = 0.0
-  posture_weight: NonNegative = 0.0
-  posture_target: dict[str, float] | None = None
-  """Posture by joint pattern [rad, m], for each driven joint; None takes the default pose."""
-
-  def build(self, env: Any) -> "DifferentialIKAction":
-    return DifferentialIKAction(self, env)
-
-
 class DifferentialIKAction(DrivenTargets):
   """See `DifferentialIKActionCfg`.
 
@@ -83,9 +36,9 @@ class DifferentialIKAction(DrivenTargets):
     MjlabError: no frame or several match, a driven joint does not move the frame, or a number is out of its range.
   """
 
-  cfg: DifferentialIKActionCfg
+  cfg: "DifferentialIKActionCfg"
 
-  def __init__(self, cfg: DifferentialIKActionCfg, env: "ManagerBasedRlEnv") -> None:
+  def __init__(self, cfg: "DifferentialIKActionCfg", env: "ManagerBasedRlEnv") -> None:
     super().__init__(cfg, env)
     self._sim = env.sim
     self._frame, self._body = self._find_frame(cfg)
@@ -99,7 +52,7 @@ class DifferentialIKAction(DrivenTargets):
     """Goal of the frame's orientation in the world, (num_envs, 4)."""
     self._has_goal = self.state((1,), dtype=torch.bool)
 
-  def _find_frame(self, cfg: DifferentialIKActionCfg) -> tuple[int, int]:
+  def _find_frame(self, cfg: "DifferentialIKActionCfg") -> tuple[int, int]:
     """Return the ids of the frame and of its body in the model."""
     ix, model = self._entity.indexing, self._sim.mj_model
     found, names = match_names(cfg.frame_name, ix.names[cfg.frame_type], what=cfg.frame_type, owner=self._owner)
@@ -108,22 +61,18 @@ class DifferentialIKAction(DrivenTargets):
     frame = int(ix.ids[cfg.frame_type][found[0]])
     return frame, frame if cfg.frame_type == "body" else int(getattr(model, f"{cfg.frame_type}_bodyid")[frame])
 
-  def _moving_dofs(self, cfg: DifferentialIKActionCfg) -> list[int]:
+  def _moving_dofs(self, cfg: "DifferentialIKActionCfg") -> list[int]:
     """Return the degrees of freedom of the driven joints; each joint must move the frame."""
-    model, carriers = self._sim.mj_model, set[int]()
-    # The last degree of freedom that moves the body leads to those before it.
-    moving = model.body_weldid[self._body]
-    dof = int(model.body_dofadr[moving] + model.body_dofnum[moving]) - 1
-    while dof >= 0:
-      carriers.add(dof)
-      dof = int(model.dof_parentid[dof])
+    model, chain = self._sim.mj_model, [self._body]
+    while chain[-1]:
+      chain.append(int(model.body_parentid[chain[-1]]))
     columns = self._entity.indexing.qvel_of_joint
     dofs = {name: columns[joint][0] for name, joint in zip(self.target_names, self._ids, strict=True)}
-    if idle := [name for name, dof in dofs.items() if dof not in carriers]:
+    if idle := [name for name, dof in dofs.items() if model.dof_bodyid[dof] not in chain]:
       raise MjlabError(f"{self._owner}: {', '.join(idle)} in actuators cannot move {cfg.frame_type} '{cfg.frame_name}'")
     return list(dofs.values())
 
-  def _posture_target(self, cfg: DifferentialIKActionCfg) -> torch.Tensor:
+  def _posture_target(self, cfg: "DifferentialIKActionCfg") -> torch.Tensor:
     if cfg.posture_target is None:
       return self._entity.data.default_joint_pos[:, self._q].clone()
     if not cfg.posture_weight:
@@ -216,6 +165,52 @@ class DifferentialIKAction(DrivenTargets):
       right = right + cfg.posture_weight**2 * (self._posture.double() - q)
     dq = solve_definite(normal + torch.diag_embed(diagonal), right)
     return dq.clamp(-cfg.max_dq, cfg.max_dq).to(self.goal_pos_w.dtype)
+
+
+@dataclass(kw_only=True)
+class DifferentialIKActionCfg(DrivenTargetsCfg):
+  """Action that moves a frame of the robot by position targets of the joints that carry it.
+
+  The goal of the frame is fixed once for each environment step. Before every physics substep, dq of
+
+    (wp^2 Jp'Jp + wo^2 Jr'Jr + wl^2 diag(v) + wq^2 I + damping^2 I) dq
+      = wp^2 Jp'ep + wo^2 Jr'er + wl^2 v r + wq^2 (p - q)
+
+  is limited to `max_dq` joint by joint, and q + dq becomes the target, within `clip`. Jp and Jr are the frame's
+  Jacobians, ep and er the way to the goal, v marks joints outside their soft limits, r is the way back inside, p the
+  posture. A controller behind biased encoders computes the same: q is their reading, and the frame is where
+  this reading puts it, to first order of the bias.
+
+  Columns: the change of position (3) and the rotation vector of the change of orientation (3), both along the axes of
+  the entity's root; or, in absolute mode, position (3) and quaternion (4) in the root's frame. Without an orientation
+  weight only the first three.
+  """
+
+  frame_name: str
+  """Pattern of the frame; it must match exactly one."""
+  frame_type: FrameType = "body"
+  use_relative_mode: bool = True
+  """True: actions are changes; False: actions are poses."""
+  relative_to: Literal["pose", "goal"] = "pose"
+  """Base of changes: the frame's pose, which lets an arm sink under its weight, or the goal of the previous step."""
+  max_lead: tuple[AboveZero, AboveZero] = (0.1, 0.5)
+  """Greatest distance of the goal from the frame with relative_to="goal" [m, rad]."""
+  delta_pos_scale: float = 1.0
+  """Metres per unit of action, relative mode."""
+  delta_ori_scale: float = 1.0
+  """Radians per unit of action, relative mode."""
+  damping: Annotated[float, Limits(ge=1e-6)] = 0.05
+  """Damping factor; larger values keep dq small near singular poses and slow the frame down; at least 1e-6."""
+  max_dq: AboveZero = 0.5
+  """Largest dq of a joint [rad, m]."""
+  position_weight: NonNegative = 1.0
+  orientation_weight: NonNegative = 1.0
+  joint_limit_weight: NonNegative = 0.0
+  posture_weight: NonNegative = 0.0
+  posture_target: dict[str, float] | None = None
+  """Posture by joint pattern [rad, m], for each driven joint; None takes the default pose."""
+
+  action = DifferentialIKAction
 
 
 def solve_definite(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
