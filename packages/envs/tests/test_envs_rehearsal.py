@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,27 +47,22 @@ def broken_event_of_ids(env: Any, env_ids: torch.Tensor) -> None:
   trip(env)
 
 
+def broken(base: type[Any], hook: str) -> type[Any]:
+  """Return a subclass whose method `hook` fails."""
+
+  def call(self: Any, *args: Any) -> Any:
+    trip(self.env)
+    return getattr(base, hook)(self, *args)
+
+  return type(f"Broken{base.__name__}", (base,), {hook: call})
+
+
 @dataclass(kw_only=True)
 class BrokenCommandCfg(SpeedCommandCfg):
-  hook: str = "update"
+  hook: str
 
-  def build(self, env: Any) -> "BrokenCommand":
-    return BrokenCommand(self, env)
-
-
-class BrokenCommand(SpeedCommand):
-  def __init__(self, cfg: BrokenCommandCfg, env: Any) -> None:
-    super().__init__(cfg, env)
-    if cfg.hook == "debug_draw":
-      object.__setattr__(self, "debug_draw", lambda draw: trip(env))
-      return
-    before = getattr(self, cfg.hook)
-
-    def call(*args: Any) -> Any:
-      trip(env)
-      return before(*args)
-
-    object.__setattr__(self, cfg.hook, call)
+  def build(self, env: Any) -> SpeedCommand:
+    return broken(SpeedCommand, self.hook)(self, env)
 
 
 @dataclass(kw_only=True)
@@ -75,47 +71,14 @@ class BrokenActionCfg(ActionTermCfg):
   hook: str
 
   def build(self, env: Any) -> ActionTerm:
-    return BrokenAction(self, env)
+    return broken(Idle, self.hook)(self, env)
 
 
-class BrokenAction(ActionTerm):
-  cfg: BrokenActionCfg
-
-  @property
-  def action_dim(self) -> int:
-    return 1
+class Idle(ActionTerm):
+  action_dim = 1
 
   def process_actions(self, actions: torch.Tensor) -> None:
-    self._trip("process_actions")
-
-  def apply_actions(self) -> None:
-    self._trip("apply_actions")
-
-  def reset(self, mask: torch.Tensor) -> None:
-    self._trip("reset")
-
-  def _trip(self, hook: str) -> None:
-    if hook == self.cfg.hook:
-      trip(self.env)
-
-
-class BrokenRecorder(RecorderTerm):
-  def __init__(self, env: Any, *, hook: str) -> None:
-    super().__init__(env)
-    self.hook = hook
-
-  def pre_reset(self, mask: torch.Tensor) -> None:
-    self._trip("pre_reset")
-
-  def post_reset(self, mask: torch.Tensor) -> None:
-    self._trip("post_reset")
-
-  def post_step(self) -> None:
-    self._trip("post_step")
-
-  def _trip(self, hook: str) -> None:
-    if hook == self.hook:
-      trip(self.env)
+    pass
 
 
 @dataclass(kw_only=True)
@@ -145,47 +108,38 @@ def with_action(hook: str) -> Any:
 
 
 def with_recorder(hook: str) -> Any:
-  return hopper_cfg(recorders={"broken": RecorderTermCfg(BrokenRecorder, params={"hook": hook})})
-
-
-def with_curriculum(func: Any) -> Any:
-  return hopper_cfg(curriculum={"broken": CurriculumTermCfg(func)})
+  return hopper_cfg(recorders={"broken": RecorderTermCfg(broken(RecorderTerm, hook))})
 
 
 AT = r"AttributeError in .*\(test_envs_rehearsal\.py, line \d+\): no such quantity"
-BROKEN: dict[str, tuple[Callable[..., Any], tuple[Any, ...], str]] = {
-  "startup": (with_event, ("startup",), "EventManager: term 'broken'"),
-  "reset": (with_event, ("reset",), "EventManager: term 'broken'"),
-  "step": (with_event, ("step",), "EventManager: term 'broken'"),
-  "reset by ids": (with_event, ("reset", broken_event_of_ids), "EventManager: term 'broken'"),
-  "curriculum by ids": (with_curriculum, (broken_event_of_ids,), "CurriculumManager: term 'broken'"),
-  **{
-    f"command.{hook}": (with_command, (hook,), "CommandManager: term 'speed'")
-    for hook in ("resample", "update", "update_metrics", "reset", "log_values")
-  },
-  **{
-    f"action.{hook}": (with_action, (hook,), "ActionManager: term 'broken'")
-    for hook in ("process_actions", "apply_actions", "reset")
-  },
-  **{
-    f"recorder.{hook}": (with_recorder, (hook,), "RecorderManager: term 'broken'")
-    for hook in ("pre_reset", "post_reset", "post_step")
-  },
+BROKEN: dict[str, tuple[str, Callable[[], Any]]] = {
+  "startup": ("EventManager: term 'broken'", partial(with_event, "startup")),
+  "reset": ("EventManager: term 'broken'", partial(with_event, "reset")),
+  "step": ("EventManager: term 'broken'", partial(with_event, "step")),
+  "reset by ids": ("EventManager: term 'broken'", partial(with_event, "reset", broken_event_of_ids)),
+  "curriculum by ids": (
+    "CurriculumManager: term 'broken'",
+    partial(hopper_cfg, curriculum={"broken": CurriculumTermCfg(broken_event_of_ids)}),
+  ),
+}
+for manager, name, build, hooks in (
+  ("CommandManager", "speed", with_command, ("resample", "update", "update_metrics", "reset", "log_values")),
+  ("ActionManager", "broken", with_action, ("process_actions", "apply_actions", "reset")),
+  ("RecorderManager", "broken", with_recorder, ("pre_reset", "post_reset", "post_step")),
+):
+  BROKEN |= {f"{manager}.{hook}": (f"{manager}: term '{name}'", partial(build, hook)) for hook in hooks}
+AT_BUILD = BROKEN | {
+  # Its first firing would be after an hour.
+  "interval": ("EventManager: term 'broken'", partial(with_event, "interval", interval_range_s=(3600.0, 3600.0))),
+  "drawing of a command": ("command speed", partial(with_command, "debug_draw")),
 }
 
 
-@pytest.mark.parametrize("kind", [*BROKEN, "interval", "drawing of a command"])
+@pytest.mark.parametrize("kind", AT_BUILD)
 def test_a_term_that_fails_is_named_at_build(make: Make, kind: str) -> None:
-  if kind == "interval":
-    # Its first firing would be after an hour.
-    cfg, name = with_event("interval", interval_range_s=(3600.0, 3600.0)), "EventManager: term 'broken'"
-  elif kind == "drawing of a command":
-    cfg, name = with_command("debug_draw"), "command speed"
-  else:
-    build, args, name = BROKEN[kind]
-    cfg = build(*args)
+  name, build = AT_BUILD[kind]
   with pytest.raises(ConfigError, match=f"{name}: {AT}"):
-    make(cfg)
+    make(build())
 
 
 def test_a_drawing_of_a_sensor_that_fails_is_named_at_build(make: Make) -> None:
@@ -197,8 +151,7 @@ def test_a_drawing_of_a_sensor_that_fails_is_named_at_build(make: Make) -> None:
 
 def test_terms_of_several_managers_that_fail_are_named_together(make: Make) -> None:
   cfg = with_event("step")
-  cfg.recorders = with_recorder("post_step").recorders
-  cfg.commands = with_command("update").commands
+  cfg.recorders, cfg.commands = with_recorder("post_step").recorders, with_command("update").commands
   with pytest.raises(ConfigError) as caught:
     make(cfg)
   assert [line.split(":")[0] for line in caught.value.problems] == ["EventManager", "CommandManager", "RecorderManager"]
@@ -207,8 +160,8 @@ def test_terms_of_several_managers_that_fail_are_named_together(make: Make) -> N
 @pytest.mark.parametrize("kind", BROKEN)
 def test_a_term_that_fails_later_is_named_with_its_manager(make: Make, kind: str) -> None:
   FAILS_FROM["step"] = 2
-  build, args, name = BROKEN[kind]
-  env = make(build(*args))
+  name, build = BROKEN[kind]
+  env = make(build())
   env.step(torch.zeros(4, env.action_manager.total_action_dim))
   if kind == "startup":
     return
