@@ -1,4 +1,4 @@
-"""From the policy's output to set-points of joints."""
+"""Actions of joints: from the policy's output to targets."""
 
 from typing import Any
 
@@ -33,28 +33,23 @@ def test_a_position_is_the_default_plus_the_scaled_action(make: Make) -> None:
   assert torch.equal(env.action_manager.action, action)
 
 
-def test_scales_offsets_and_clips_are_given_by_pattern(make: Make) -> None:
-  env = acting(
-    make,
-    legs=mdp.JointPositionActionCfg(
-      scale={"hip": 2.0, "knee": 0.1},
-      offset={"hip": 0.3, "knee": -0.2},
-      use_default_offset=False,
-      clip={"hip": (-0.5, 0.5)},
+BY_PATTERN: dict[str, Any] = {"scale": {"hip": 2.0, "knee": 0.1}, "offset": {"hip": 0.3, "knee": -0.2}}
+
+
+@pytest.mark.parametrize(
+  ("options", "expected"),
+  [
+    ({"clip": (-0.1, 0.3)}, lambda a: (DEFAULT + a).clip(-0.1, 0.3)),
+    (
+      BY_PATTERN | {"use_default_offset": False, "clip": {"hip": (-0.5, 0.5)}},
+      lambda a: (a * [2.0, 0.1] + [0.3, -0.2]).clip([-0.5, -np.inf], [0.5, np.inf]),
     ),
-  )
-  action = 3.0 * actions(env, 1)
-  expected = action.double().numpy() * [2.0, 0.1] + [0.3, -0.2]
-  expected[:, 0] = expected[:, 0].clip(-0.5, 0.5)
-  np.testing.assert_allclose(targets(env, action), expected, rtol=1e-12)
-  assert (np.abs(expected[:, 0]) == 0.5).any()
-  assert (np.abs(expected[:, 1]) > 0.2).any()
-
-
-def test_one_clip_bounds_all_joints(make: Make) -> None:
-  env = acting(make, legs=mdp.JointPositionActionCfg(clip=(-0.1, 0.3)))
-  action = 10.0 * actions(env, 2)
-  np.testing.assert_allclose(targets(env, action), (DEFAULT + action.double().numpy()).clip(-0.1, 0.3), rtol=1e-12)
+  ],
+)
+def test_scales_offsets_and_clips_are_for_all_joints_or_by_pattern(make: Make, options: Any, expected: Any) -> None:
+  env = acting(make, legs=mdp.JointPositionActionCfg(**options))
+  action = 10.0 * actions(env, 1)
+  np.testing.assert_allclose(targets(env, action), expected(action.double().numpy()), rtol=1e-12)
 
 
 @pytest.mark.parametrize(("preserve", "names"), [(True, ["knee", "hip"]), (False, ["hip", "knee"])])
@@ -82,7 +77,7 @@ def test_the_bias_of_encoders_is_taken_off_positions(make: Make) -> None:
   np.testing.assert_allclose(targets(env, action), DEFAULT + action.double().numpy() - bias.numpy(), rtol=1e-12)
 
 
-def test_velocities_and_efforts_have_targets_of_their_own(make: Make) -> None:
+def test_velocities_and_efforts_have_separate_targets(make: Make) -> None:
   env = acting(
     make,
     hip=mdp.JointVelocityActionCfg(actuators="hip", scale=3.0),
@@ -96,7 +91,7 @@ def test_velocities_and_efforts_have_targets_of_their_own(make: Make) -> None:
   assert env.action_manager.term_slices() == {"hip": slice(0, 1), "knee": slice(1, 2)}
 
 
-def test_the_set_point_reaches_the_engine(make: Make) -> None:
+def test_the_target_reaches_the_engine(make: Make) -> None:
   env = acting(make, legs=mdp.JointPositionActionCfg(scale=0.1))
   action = actions(env, 6)
   target = targets(env, action)
@@ -104,7 +99,7 @@ def test_the_set_point_reaches_the_engine(make: Make) -> None:
   for _ in range(40):
     env.episode_length_buf.zero_()
     env.step(action)
-  # A stiff spring settles near its set-point; the rest is weight.
+  # A stiff spring settles near its target; the rest is weight.
   assert np.abs(env.scene["robot"].data.joint_pos.numpy() - target).max() < 0.6
 
 
@@ -135,7 +130,7 @@ def test_differences_from_the_last_target_add_up_within_the_clip_until_a_reset(m
   np.testing.assert_allclose(after[0], [0.3, start[0, 1] + 0.4], atol=1e-7)
 
 
-def test_smoothed_set_points_follow_the_average_from_where_an_episode_begins(make: Make) -> None:
+def test_smoothed_targets_follow_the_average_from_where_an_episode_begins(make: Make) -> None:
   env = acting(make, legs=mdp.SmoothedJointPositionActionCfg(scale=0.5, smoothing=0.75, clip=(-1.0, 1.0)))
   start = env.scene["robot"].data.joint_pos.numpy().copy()
   expected = start
@@ -186,6 +181,6 @@ def test_a_binary_action_opens_for_zero_or_more_and_closes_below(make: Make) -> 
   ],
   ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_what_is_wrong_with_an_action_is_said_at_build(make: Make, cfg: dict, message: str) -> None:
+def test_a_mistake_in_an_action_is_named_at_build(make: Make, cfg: dict, message: str) -> None:
   with pytest.raises(ConfigError, match=message):
     make(hopper_cfg(actions=cfg))

@@ -185,7 +185,7 @@ def test_a_step_is_the_damped_least_squares_solution(
   assert outside
 
 
-def test_solutions_of_definite_systems_are_numpys_however_badly_conditioned() -> None:
+def test_solutions_of_badly_conditioned_systems_are_those_of_numpy() -> None:
   rng = np.random.default_rng(0)
   tall = rng.normal(size=(50, 3, 6))
   matrix = tall.transpose(0, 2, 1) @ tall + 1e-8 * np.eye(6)
@@ -229,7 +229,7 @@ def test_changes_are_along_the_axes_of_the_root(make: Make) -> None:
     np.testing.assert_allclose(turned, 0.2 * root @ action[world, 3:].double().numpy(), atol=1e-7)
 
 
-def test_changes_of_the_goal_add_up_on_a_leash_and_begin_anew_with_the_episode(make: Make) -> None:
+def test_changes_of_the_goal_add_up_to_max_lead_and_begin_again_with_the_episode(make: Make) -> None:
   _, term = reaching(make, relative_to="goal", delta_pos_scale=0.02, delta_ori_scale=0.2, max_lead=(0.05, 0.5))
   (pos, quat), action = term.frame_pose(), torch.tensor([[0.0, 0.0, 1.0, 0.0, 1.0, 0.0]]).repeat(4, 1)
   for lead, turn in ((0.02, 0.2), (0.04, 0.4), (0.05, 0.5), (0.05, 0.5)):
@@ -244,7 +244,7 @@ def test_changes_of_the_goal_add_up_on_a_leash_and_begin_anew_with_the_episode(m
   assert torch.linalg.vector_norm(term.goal_pos_w[1] - pos[1]) > 0.049
 
 
-def test_a_world_that_diverged_has_a_goal_again_when_it_begins_anew(make: Make) -> None:
+def test_a_world_that_diverged_has_a_goal_again_after_its_reset(make: Make) -> None:
   env, term = reaching(make, relative_to="goal")
   robot, action = env.scene["robot"], torch.full((4, 6), 0.01)
   position = robot.data.joint_pos.clone()
@@ -263,7 +263,7 @@ def test_a_world_that_diverged_has_a_goal_again_when_it_begins_anew(make: Make) 
 
 
 @pytest.mark.parametrize("relative_to", ["pose", "goal"])
-def test_an_arm_that_is_told_nothing_holds_its_goal_and_sinks_from_its_pose(make: Make, relative_to: str) -> None:
+def test_without_actions_an_arm_holds_its_goal_and_sinks_from_its_pose(make: Make, relative_to: str) -> None:
   cfg = arm_cfg(relative_to=relative_to)
   cfg.sim.gravity = (0.0, 0.0, -3.0)
   env = make(cfg)
@@ -325,7 +325,7 @@ def test_a_pose_is_reached_and_held(make: Make) -> None:
   assert (1.0 - (quat * term.goal_quat_w).sum(-1).abs()).max() < 1e-5
 
 
-def test_set_points_stay_within_the_clip_and_are_solved_for_anew_before_each_substep(make: Make) -> None:
+def test_targets_stay_within_the_clip_and_are_solved_before_each_substep(make: Make) -> None:
   env, term = reaching(make, clip={"yaw": (-0.2, 0.2), "elbow": (0.1, 0.5)})
   robot = env.scene["robot"]
   action = 3.0 * torch.randn(4, 6, generator=torch.Generator().manual_seed(5))
@@ -393,6 +393,6 @@ def test_a_step_that_solves_never_waits_for_the_device(make: Make) -> None:
   ],
   ids=lambda value: "" if isinstance(value, str) else "-".join(value),
 )
-def test_what_is_wrong_with_it_is_said_at_build(make: Make, options: dict[str, Any], message: str) -> None:
+def test_a_mistake_is_named_at_build(make: Make, options: dict[str, Any], message: str) -> None:
   with pytest.raises(ConfigError, match=message):
     make(arm_cfg(**options))

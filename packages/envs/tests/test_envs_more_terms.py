@@ -108,7 +108,7 @@ def rough_cfg(patches: str = "feet") -> Any:
   return cfg
 
 
-def test_roots_begin_on_flat_patches_of_their_own_tile(make: Make) -> None:
+def test_roots_begin_on_flat_patches_of_their_tile(make: Make) -> None:
   env = make(rough_cfg())
   levels, terrain = env.scene.terrain_levels, env.scene.terrain
   seen = set()

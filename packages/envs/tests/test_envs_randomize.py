@@ -109,7 +109,7 @@ def test_the_ground_and_its_looks_can_be_randomised_though_they_are_no_entity(ma
   ground = compiled.geom("terrain").id
   before = model.geom_friction[:, ground, 0].clone()
   assert before.unique().numel() == 4
-  # Nothing of the robot's is what belongs to nobody.
+  # Elements of the robot stay as they are.
   assert (model.geom_friction[:, compiled.geom("robot/foot").id, 0] == compiled.geom("robot/foot").friction[0]).all()
   textures = model.mat_texid[:, compiled.material("terrain").id, 1].tolist()
   assert set(textures) <= {compiled.texture("wood").id, compiled.texture("steel").id}

@@ -75,7 +75,7 @@ def delays(lags: tuple[int, int], mode: Any = "startup", targets: Any = ".*") ->
 
 
 def forces(env: Any, *, target: float) -> torch.Tensor:
-  """Force of the actuators on every joint at rest in the default pose, all set-points alike, (WORLDS, joints)."""
+  """Force of the actuators on every joint at rest in the default pose, all targets alike, (WORLDS, joints)."""
   robot = env.scene["robot"]
   robot.write_default_state()
   for name in ("position", "velocity", "effort"):
@@ -104,7 +104,7 @@ def test_gains_act_in_the_simulation(make: Make, parameter: str) -> None:
   event = drawn(parameter, (1.5, 1.5), targets=tuple(names))
   plain, env = make(arm_cfg(*LAWS.values())), make(arm_cfg(*LAWS.values(), gains=event))
   robot = env.scene["robot"]
-  # Velocity set-points for dampings, positions for stiffness; the laws that damp towards zero are seen when moving.
+  # Velocity targets for dampings, positions for stiffness; the laws that damp towards zero are seen when moving.
   wanted = {"stiffness": (0.01, 0.0), "damping": (0.0, 0.02)}[parameter]
   got = []
   for environment in (plain, env):
@@ -183,7 +183,7 @@ def test_a_factor_of_one_is_exactly_what_was_compiled(make: Make) -> None:
     assert torch.equal(values, plain[name].expand_as(values)), name
 
 
-def test_what_was_drawn_is_told_from_what_was_written(make: Make) -> None:
+def test_values_of_a_parameter_are_those_that_were_written(make: Make) -> None:
   names = ("xml", "position", "pd", "dc", "native_dc", "envelope")
   env = make(arm_cfg(*LAWS.values(), kp=drawn("stiffness", (0.8, 1.2), "reset", targets=names)), begun=False)
   parameter = env.event_manager.get_term_cfg("kp").func.field._quantity
@@ -267,7 +267,7 @@ def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, optio
   assert torch.cat((seen["motor"], seen["pd"])).unique().numel() > 1
 
 
-def test_lags_are_drawn_anew_in_masked_worlds_only(make: Make) -> None:
+def test_lags_are_drawn_again_in_masked_worlds_only(make: Make) -> None:
   event = delays((0, 9), "reset", targets=("pd",))
   env = make(arm_cfg(late("pd", (0, 9)), delay=event))
   (law,) = env.scene["robot"].actuators.groups
@@ -315,28 +315,18 @@ def test_a_gain_that_may_become_negative_is_refused_at_build(make: Make) -> None
 
 
 def test_two_events_for_one_number_are_refused(make: Make) -> None:
-  events: dict[str, Any] = {
-    "a": drawn("stiffness", (0.8, 1.2), targets="pd"),
-    "b": drawn("stiffness", (0.8, 1.2), targets=("pd", "dc")),
-  }
+  a, b = drawn("stiffness", SOME, targets="pd"), drawn("stiffness", SOME, targets=("pd", "dc"))
   with pytest.raises(ConfigError, match="stiffness of joint 'pd' is written by event"):
-    make(arm_cfg(*LAWS.values(), **events))
+    make(arm_cfg(*LAWS.values(), a=a, b=b))
 
 
 def test_one_event_serves_rows_of_models_and_of_actuators(make: Make) -> None:
-  def generic(randomizer: Any) -> EventTermCfg:
-    return EventTermCfg(mdp.randomize, mode="startup", params={"randomizer": randomizer})
-
-  env = make(
-    arm_cfg(
-      LAWS["pd"],
-      late("motor", (0, 5)),
-      kp=generic(randomize_field("stiffness", "pd", (1.0, 3.0), operation="add")),
-      late=generic(randomize_field("delay", ("motor", "dc"), Categorical((3,)))),
-      damping=generic(randomize_field("dof_damping", "pd", (0.1, 0.2))),
-    )
-  )
-  pd, motor = env.scene["robot"].actuators.groups
+  events: dict[str, Any] = {
+    "kp": drawn("stiffness", (1.0, 3.0), targets="pd", operation="add"),
+    "late": delays((3, 3), targets=("motor", "dc")),
+    "damping": drawn("dof_damping", (0.1, 0.2), targets="pd"),
+  }
+  pd, motor = make(arm_cfg(LAWS["pd"], late("motor", (0, 5)), **events)).scene["robot"].actuators.groups
   assert ((pd.stiffness >= 21.0) & (pd.stiffness <= 23.0)).all()
   assert pd.stiffness.unique().numel() == WORLDS
   assert (motor.delay.lag == 3).all()
@@ -356,16 +346,11 @@ def test_claims_follow_the_parameters_of_an_event(make: Make) -> None:
 
 
 def test_an_event_on_the_raw_field_of_a_gain_is_refused_beside_one_on_the_gain(make: Make) -> None:
-  raw = EventTermCfg(
-    mdp.randomize,
-    mode="startup",
-    params={"randomizer": randomize_field("actuator_forcerange", "position", (0.5, 1.0), operation="scale")},
-  )
+  raw = drawn("actuator_forcerange", (0.5, 1.0), targets="position", operation="scale")
   limits = drawn("effort_limit", (0.8, 1.2), targets="position")
-  orders: list[dict[str, Any]] = [{"a": raw, "b": limits}, {"a": limits, "b": raw}]
-  for events in orders:
+  for first, second in ((raw, limits), (limits, raw)):
     with pytest.raises(ConfigError, match=r"actuator_forcerange of .*'position' is written by"):
-      make(arm_cfg(*LAWS.values(), **events))
+      make(arm_cfg(*LAWS.values(), a=first, b=second))
 
 
 def test_an_entity_without_actuators_has_none_to_randomise(make: Make) -> None:

@@ -75,7 +75,9 @@ class BrokenActionCfg(ActionTermCfg):
 
 
 class Idle(ActionTerm):
-  action_dim = 1
+  @property
+  def action_dim(self) -> int:
+    return 1
 
   def process_actions(self, actions: torch.Tensor) -> None:
     pass

@@ -1,4 +1,4 @@
-"""Beginning anew: of some worlds, by themselves or when asked to, and nobody else."""
+"""Resets of some worlds, automatic and explicit, which leave the others alone."""
 
 from collections.abc import Callable, Mapping
 from typing import Any

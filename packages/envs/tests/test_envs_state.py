@@ -163,7 +163,7 @@ def test_a_seed_given_to_reset_starts_the_same_run_anywhere(make: Make) -> None:
   assert a.seed == b.seed == 3
 
 
-def test_without_a_seed_one_is_drawn_and_told(make: Make) -> None:
+def test_without_a_seed_one_is_drawn_and_shown(make: Make) -> None:
   a, b = make(hopper_cfg(seed=None)), make(hopper_cfg(seed=None))
   assert isinstance(a.seed, int)
   assert a.seed != b.seed
@@ -237,7 +237,7 @@ def test_a_closed_environment_says_so_and_closes_again(make: Make) -> None:
     env.reset()
 
 
-def test_a_closed_environment_that_nobody_holds_is_gone(engine: str) -> None:
+def test_a_closed_environment_without_references_is_freed(engine: str) -> None:
   # Only what is made from here on is looked at: the rest of the process is large.
   gc.freeze()
   env = ManagerBasedRlEnv(randomised_cfg(engine), "cpu")

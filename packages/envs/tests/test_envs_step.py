@@ -132,7 +132,7 @@ def test_what_a_step_returns_belongs_to_the_caller(make: Make) -> None:
   assert [value.dtype for value in kept[0]] == [torch.float32] * 3 + [torch.bool] * 2
 
 
-def test_a_diverged_world_is_ended_counted_and_seen_by_nobody(make: Make, engine: str) -> None:
+def test_a_diverged_world_is_ended_counted_and_not_observed(make: Make, engine: str) -> None:
   well, ill = make(engine=engine), make(engine=engine)
   for env in (well, ill):
     env.reset()

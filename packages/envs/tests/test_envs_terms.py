@@ -188,7 +188,7 @@ def test_an_image_can_be_late_and_noisy_and_is_new_in_a_new_episode(make: Make) 
 
 
 @pytest.mark.warp
-def test_a_camera_of_its_own_rate_starts_anew_with_the_episode(make: Make) -> None:
+def test_a_camera_with_a_separate_rate_starts_again_with_the_episode(make: Make) -> None:
   cfg = camera_cfg(update_period=12, depth=(mdp.camera_depth, {"max_depth": 4.0}))
   cfg.terminations = {"ended": TerminationTermCfg(Ended)}
   env = make(cfg)

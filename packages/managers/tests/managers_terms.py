@@ -8,7 +8,7 @@ from mjlab_managers import ActionTerm, ActionTermCfg, CommandTerm, CommandTermCf
 
 @dataclass(kw_only=True)
 class ActCfg(ActionTermCfg):
-  """Action of a class, with an option of its own."""
+  """Action of any class, with an option."""
 
   entity: str = "robot"
   term: type[ActionTerm]
@@ -20,7 +20,7 @@ class ActCfg(ActionTermCfg):
 
 @dataclass(kw_only=True)
 class GoalCfg(CommandTermCfg):
-  """Command of a class, with an option of its own."""
+  """Command of any class, with an option."""
 
   term: type[CommandTerm]
   option: Any = None

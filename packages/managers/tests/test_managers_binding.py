@@ -1,4 +1,4 @@
-"""What a term is given, and what is said when it cannot be."""
+"""Binding of terms to their parameters, and the messages about mistakes."""
 
 import functools
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""What noise of cameras does to colours and depth, world by world."""
+"""Noise of cameras: effects on colours and depth, world by world."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ def distance_from_uniform(values: torch.Tensor, lo: float, hi: float) -> float:
   return float(torch.maximum(steps[1:] - share, share - steps[:-1]).max()) * len(share) ** 0.5
 
 
-def test_every_world_has_an_exposure_of_its_own_as_the_ranges_say(make_env) -> None:
+def test_every_world_has_a_separate_exposure_within_the_ranges(make_env) -> None:
   env = make_env(3000)
   quarter = 0.25
   for name, lo, hi, undo in (
@@ -208,7 +208,7 @@ def test_a_step_asks_the_device_nothing(env, dispatched) -> None:
     ({"depth": 3, "hole_size": 0}, "hole_size must be at least 1, got 0"),
   ],
 )
-def test_what_means_nothing_is_an_error_at_build(env, options: dict[str, Any], said: str) -> None:
+def test_wrong_options_are_errors_at_build(env, options: dict[str, Any], said: str) -> None:
   with pytest.raises(ConfigError, match=f"(?s)'camera/image': .*{said}"):
     manager_of(env, CameraNoiseCfg(**options))
 

@@ -39,7 +39,7 @@ def build(env: Any, lo: float = 0.1, hi: float = 0.3) -> CommandManager:
 
 
 @pytest.mark.parametrize("steps", [1, 5, 50, 400])
-def test_a_command_is_drawn_anew_exactly_when_its_time_runs_out(env, steps):
+def test_a_command_is_drawn_again_exactly_when_its_time_runs_out(env, steps):
   manager = build(env, steps * env.step_dt, steps * env.step_dt)
   manager.reset(~env.mask())
   counter, drawn = manager.get_term("twist").command_counter, []
@@ -114,7 +114,7 @@ class Counting(Uniform):
     self.total.copy_(state["total"])
 
 
-def test_a_term_logs_values_of_its_own_and_takes_its_progress_into_another_number_of_worlds(make_env, logged):
+def test_a_term_logs_further_values_and_takes_its_progress_into_another_number_of_worlds(make_env, logged):
   few, many = make_env(num_envs=3), make_env(num_envs=5)
   cfg = GoalCfg(term=Counting, resampling_time_range=(1.0, 2.0))
   managers = [CommandManager({"twist": cfg}, env) for env in (few, many)]
@@ -149,7 +149,7 @@ class Steerable(Uniform):
       where_(self._command, *self.by_hand)
 
 
-def test_what_is_given_by_hand_holds_in_its_world_and_is_no_part_of_a_step_before(env):
+def test_a_steered_command_holds_in_its_world_and_needs_no_operation_before(env):
   term = Steerable(GoalCfg(term=Steerable, resampling_time_range=None), env)
   term.name = "twist"
   term.resample(~env.mask())

@@ -36,8 +36,8 @@ def test_a_reward_weight_follows_the_step_counter_inside_the_step(env, logged, d
     rewards.append(env.reward_manager.compute()[0].item())
   assert rewards == [0, 0, 2, 2, 5, 5]
   assert logged(manager) == {"Curriculum/weight": 5.0}
-  nobody = env.mask()
-  dispatched(lambda: manager.compute(nobody))
+  none = env.mask()
+  dispatched(lambda: manager.compute(none))
 
 
 def test_states_are_logged_by_key_as_last_seen(env, logged):

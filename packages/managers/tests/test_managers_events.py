@@ -22,7 +22,14 @@ class Fired:
     return self
 
 
-def test_each_mode_fires_its_own_terms_where_it_is_told(env):
+def interval(env: Any, lo: float, hi: float, **options: Any) -> tuple[EventManager, Fired]:
+  """Return a manager with one interval event."""
+  fired = Fired()
+  term = EventTermCfg(fired, mode="interval", interval_range_s=(lo, hi), **options)
+  return EventManager({"push": term}, env), fired
+
+
+def test_each_mode_fires_its_terms_in_the_worlds_of_the_mask(env):
   modes: tuple[Any, ...] = ("startup", "reset", "step")
   terms = {mode: Fired() for mode in modes}
   cfgs = {mode: EventTermCfg(terms[mode], mode=mode) for mode in modes}
@@ -53,9 +60,7 @@ def test_one_term_can_be_fired_whatever_its_mode_says(env):
 
 def test_the_mean_time_between_firings_is_the_middle_of_the_range(make_env):
   env = make_env(256)
-  fired = Fired()
-  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.2, 0.6))}, env)
-  steps = 1000
+  (manager, fired), steps = interval(env, 0.2, 0.6), 1000
   for _ in range(steps):
     manager.apply("interval")
   count = torch.tensor(fired.masks).sum().item()
@@ -70,24 +75,18 @@ def test_the_mean_time_between_firings_is_the_middle_of_the_range(make_env):
 @pytest.mark.parametrize("is_global", [False, True])
 @pytest.mark.parametrize("steps", [5, 100, 400])
 def test_a_constant_interval_fires_exactly_on_time(env, steps, is_global):
-  fired, interval = Fired(), (steps * env.step_dt, steps * env.step_dt)
-  term = EventTermCfg(fired, mode="interval", interval_range_s=interval, is_global_time=is_global)
-  manager = EventManager({"push": term}, env)
+  manager, fired = interval(env, steps * env.step_dt, steps * env.step_dt, is_global_time=is_global)
   for _ in range(2 * steps):
     manager.apply("interval", ~env.mask())
   assert [i + 1 for i, mask in enumerate(fired.masks) if all(mask)] == [steps, 2 * steps]
 
 
 def test_a_reset_redraws_the_timer_of_its_world_but_not_a_global_one(env):
-  def build(is_global: bool) -> EventManager:
-    term = EventTermCfg(Fired(), mode="interval", interval_range_s=(1.0, 9.0), is_global_time=is_global)
-    return EventManager({"push": term}, env)
-
-  own = build(False)
+  own, _ = interval(env, 1.0, 9.0)
   before = own.state_dict()["_time_left"]
   own.reset(env.mask(2))
   assert (own.state_dict()["_time_left"] != before)[:, 0].tolist() == [False, False, True, False]
-  shared = build(True)
+  shared, _ = interval(env, 1.0, 9.0, is_global_time=True)
   before = shared.state_dict()["_time_left"]
   shared.reset(env.mask(2))
   assert torch.equal(shared.state_dict()["_time_left"], before)
@@ -96,17 +95,14 @@ def test_a_reset_redraws_the_timer_of_its_world_but_not_a_global_one(env):
 
 @pytest.mark.usefixtures("nothing_skipped")
 def test_a_global_timer_fires_everywhere_at_once(env):
-  fired = Fired()
-  term = EventTermCfg(fired, mode="interval", interval_range_s=(0.1, 0.3), is_global_time=True)
-  manager = EventManager({"gravity": term}, env)
+  manager, fired = interval(env, 0.1, 0.3, is_global_time=True)
   for _ in range(100):
     manager.apply("interval", env.mask(0, 2))
   assert {tuple(mask) for mask in fired.masks} == {(True,) * 4, (False,) * 4}
 
 
 def test_worlds_for_which_no_time_passed_keep_their_timer(env):
-  fired = Fired()
-  manager = EventManager({"push": EventTermCfg(fired, mode="interval", interval_range_s=(0.02, 0.02))}, env)
+  manager, fired = interval(env, 0.02, 0.02)
   manager.apply("interval", ~env.mask(3))
   assert fired.masks == [[True, True, True, False]]
 
@@ -187,7 +183,7 @@ def test_a_term_that_asks_for_indices_runs_outside_the_recording_and_only_if_the
     ({"mode": "step", "min_step_count_between_reset": 3}, "is for mode reset, the mode is step"),
   ],
 )
-def test_options_that_mean_nothing_are_errors_at_build(env, options, said):
+def test_wrong_options_are_errors_at_build(env, options, said):
   with pytest.raises(ConfigError, match=f"EventManager: term 'e'.*{said}"):
     EventManager({"e": EventTermCfg(Fired(), **options)}, env)
 

@@ -23,9 +23,19 @@ def values(env: Any, *, columns: int = 5) -> torch.Tensor:
   return env.values[:, :columns]
 
 
+def term(columns: int = 5, **options: Any) -> ObservationTermCfg:
+  return ObservationTermCfg(values, params={"columns": columns}, **options)
+
+
+def manager_of(
+  env: Any, options: dict[str, Any] | None = None, /, **terms: ObservationTermCfg | None
+) -> ObservationManager:
+  """Return a manager with one group, "g", which has these options and terms."""
+  return ObservationManager({"g": ObservationGroupCfg(terms=terms, **(options or {}))}, env)
+
+
 def one(env: Any, **options: Any) -> ObservationManager:
-  term = ObservationTermCfg(values, params={"columns": 2}, **options)
-  return ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms={"t": term})}, env)
+  return manager_of(env, {"corrupt": True}, t=term(2, **options))
 
 
 def tensor(observation: Any) -> torch.Tensor:
@@ -67,12 +77,7 @@ class TestOrder:
 
   def test_terms_are_concatenated_in_order_in_float32(self, make_env):
     env = make_env(dtype=torch.float64)
-    terms: dict[str, ObservationTermCfg | None] = {
-      "b": ObservationTermCfg(values, params={"columns": 3}, scale=2.0),
-      "none": None,
-      "a": ObservationTermCfg(values, params={"columns": 1}),
-    }
-    manager = ObservationManager({"g": ObservationGroupCfg(terms=terms)}, env)
+    manager = manager_of(env, b=term(3, scale=2.0), none=None, a=term(1))
     got = seen(manager)
     assert got.dtype is torch.float32
     assert torch.equal(got, torch.cat([env.values[:, :3] * 2, env.values[:, :1]], 1).float())
@@ -85,17 +90,10 @@ class TestOrder:
 class TestNoise:
   def test_uniform_noise_stays_in_its_range_and_only_corrupted_groups_have_it(self, make_env):
     env = make_env(4000)
-    terms: dict[str, ObservationTermCfg | None] = {
-      "quiet": ObservationTermCfg(values, params={"columns": 2}),
-      "loud": ObservationTermCfg(values, params={"columns": 1}, noise=UniformNoiseCfg(n_min=-0.5, n_max=1.5)),
-    }
+    terms: Any = {"quiet": term(2), "loud": term(1, noise=UniformNoiseCfg(n_min=-0.5, n_max=1.5))}
     env.values[:] = 0.0
-    groups: dict[str, ObservationGroupCfg | None] = {
-      "actor": ObservationGroupCfg(corrupt=True, terms=dict(terms)),
-      "critic": ObservationGroupCfg(terms=dict(terms)),
-    }
-    manager = ObservationManager(groups, env)
-    actor, critic = (tensor(manager.compute()[name]) for name in ("actor", "critic"))
+    groups = {name: ObservationGroupCfg(corrupt=name == "actor", terms=terms) for name in ("actor", "critic")}
+    actor, critic = map(tensor, ObservationManager(groups, env).compute().values())
     assert (critic == 0).all()
     assert (actor[:, :2] == 0).all()
     noise = actor[:, 2]
@@ -107,12 +105,8 @@ class TestNoise:
   @pytest.mark.parametrize(("operation", "expected"), [("add", 3.0 + 2.0), ("scale", 3.0 * 2.0), ("abs", 2.0)])
   def test_operations_hold_on_their_own_columns(self, env, operation, expected):
     env.values[:] = 3.0
-    terms: dict[str, ObservationTermCfg | None] = {
-      "n": ObservationTermCfg(values, params={"columns": 1}, noise=ConstantNoiseCfg(bias=2.0, operation=operation)),
-      "plain": ObservationTermCfg(values, params={"columns": 1}),
-      "add": ObservationTermCfg(values, params={"columns": 2}, noise=ConstantNoiseCfg(bias=(1.0, 2.0))),
-    }
-    manager = ObservationManager({"g": ObservationGroupCfg(corrupt=True, terms=terms)}, env)
+    noisy, added = ConstantNoiseCfg(bias=2.0, operation=operation), ConstantNoiseCfg(bias=(1.0, 2.0))
+    manager = manager_of(env, {"corrupt": True}, n=term(1, noise=noisy), plain=term(1), add=term(2, noise=added))
     assert seen(manager)[0].tolist() == [expected, 3.0, 4.0, 5.0]
 
   def test_gaussian_noise_has_its_moments(self, make_env):
@@ -147,23 +141,17 @@ class TestNoise:
 
 class TestTime:
   def test_history_is_oldest_to_newest_and_term_major_and_the_first_frame_fills_it(self, env):
-    terms: dict[str, ObservationTermCfg | None] = {
-      "a": ObservationTermCfg(values, params={"columns": 2}, history_length=3),
-      "now": ObservationTermCfg(values, params={"columns": 1}),
-      "b": ObservationTermCfg(lambda env: -env.values[:, :1], history_length=3),
-    }
-    manager = ObservationManager({"g": ObservationGroupCfg(terms=terms)}, env)
+    # Histories of two lengths are parts of one buffer.
+    negative = ObservationTermCfg(lambda env: -env.values[:, :1], history_length=2)
+    manager = manager_of(env, a=term(2, history_length=3), now=term(1), b=negative)
     env.values[:] = 1.0
-    assert seen(manager)[0].tolist() == [1, 1, 1, 1, 1, 1, 1, -1, -1, -1]
+    assert seen(manager)[0].tolist() == [1, 1, 1, 1, 1, 1, 1, -1, -1]
     env.values[:] = 2.0
     manager.compute()
     env.values[:] = 3.0
-    assert seen(manager)[0].tolist() == [1, 1, 2, 2, 3, 3, 3, -1, -2, -3]
-    assert [(t.name, t.columns) for t in manager.layout("g")] == [
-      ("a", slice(0, 6)),
-      ("now", slice(6, 7)),
-      ("b", slice(7, 10)),
-    ]
+    assert seen(manager)[0].tolist() == [1, 1, 2, 2, 3, 3, 3, -2, -3]
+    columns = [(layout.name, layout.columns) for layout in manager.layout("g")]
+    assert columns == [("a", slice(0, 6)), ("now", slice(6, 7)), ("b", slice(7, 9))]
 
   def test_fresh_rows_show_the_new_frame_in_the_whole_window_and_the_others_go_on(self, env):
     manager = one(env, history_length=3)
@@ -176,10 +164,8 @@ class TestTime:
     assert got[0].tolist() == [1, 1, 2, 2, 9, 9]
 
   def test_a_group_history_overrides_the_terms(self, env):
-    terms: dict[str, ObservationTermCfg | None] = {"t": ObservationTermCfg(values, history_length=7)}
-    group = ObservationGroupCfg(terms=terms, history_length=2, flatten_history_dim=False, concatenate_terms=False)
-    manager = ObservationManager({"g": group}, env)
-    observation = manager.compute()["g"]
+    options = {"history_length": 2, "flatten_history_dim": False, "concatenate_terms": False}
+    observation = manager_of(env, options, t=term(history_length=7)).compute()["g"]
     assert isinstance(observation, dict)
     assert observation["t"].shape == (4, 2, 5)
 
@@ -231,18 +217,14 @@ class TestTime:
 
   def test_buffers_stay_in_their_memory(self, env):
     manager = one(env, history_length=3)
-    address = tensor_address(manager)
+    before = manager.buffers["g"]
     for fresh, advance in ((None, None), (env.mask(1), None), (env.mask(1), env.mask(1))):
-      manager.compute(fresh, advance)
-      assert tensor_address(manager) == address
+      assert manager.compute(fresh, advance)["g"] is before
 
   @pytest.mark.parametrize("flatten", [True, False])
   def test_an_observation_of_nothing_has_a_history_of_nothing(self, env, flatten):
     past: dict[str, Any] = {"history_length": 3, "flatten_history_dim": flatten}
-    terms: dict[str, ObservationTermCfg | None] = {
-      "none": ObservationTermCfg(values, params={"columns": 0}, **past),
-      "some": ObservationTermCfg(values, params={"columns": 2}, **past),
-    }
+    terms: Any = {"none": term(0, **past), "some": term(2, **past)}
     groups = {
       "both": ObservationGroupCfg(terms=terms, concatenate_terms=flatten),
       "none": ObservationGroupCfg(terms={"none": terms["none"]}, history_length=5),
@@ -255,12 +237,6 @@ class TestTime:
     some = both.unflatten(1, (3, 2)) if isinstance(both, torch.Tensor) else both["some"]
     assert torch.equal(some, torch.stack([env.values[:, :2] - 1.0] * 2 + [env.values[:, :2]], dim=1))
     assert tensor(got["none"]).shape == (4, 0)
-
-
-def tensor_address(manager: ObservationManager) -> int:
-  observation = manager.buffers["g"]
-  assert isinstance(observation, torch.Tensor)
-  return observation.data_ptr()
 
 
 class Window(ManagerTermBase):
@@ -281,7 +257,7 @@ class TestIndependence:
   def test_a_window_of_a_terms_own_begins_with_the_frame_that_a_reset_shows(self, make_env, num_envs):
     env = make_env(num_envs)
     last = num_envs - 1
-    manager = ObservationManager({"g": ObservationGroupCfg(terms={"w": ObservationTermCfg(Window)})}, env)
+    manager = manager_of(env, w=ObservationTermCfg(Window))
 
     def observe(value: float, *args: torch.Tensor) -> list[list[float]]:
       env.values.fill_(value)
@@ -303,14 +279,12 @@ class TestEvaluation:
       calls.append(gain)
       return env.values * gain
 
-    def group(corrupt: bool) -> ObservationGroupCfg:
-      terms: dict[str, ObservationTermCfg | None] = {
-        "same": ObservationTermCfg(counted, noise=UniformNoiseCfg()),
-        "other": ObservationTermCfg(counted, params={"gain": 2.0}),
-      }
-      return ObservationGroupCfg(corrupt=corrupt, terms=terms)
-
-    manager = ObservationManager({"actor": group(True), "critic": group(False)}, env)
+    terms: Any = {
+      "same": ObservationTermCfg(counted, noise=UniformNoiseCfg()),
+      "other": ObservationTermCfg(counted, params={"gain": 2.0}),
+    }
+    groups = {name: ObservationGroupCfg(corrupt=name == "actor", terms=terms) for name in ("actor", "critic")}
+    manager = ObservationManager(groups, env)
     calls.clear()
     manager.compute()
     assert sorted(calls) == [1.0, 2.0]
@@ -348,33 +322,26 @@ class TestEvaluation:
     def image(env: Any) -> torch.Tensor:
       return torch.arange(env.num_envs * 6.0).reshape(env.num_envs, 1, 2, 3)
 
-    terms: dict[str, ObservationTermCfg | None] = {"camera": ObservationTermCfg(image)}
-    both: dict[str, ObservationTermCfg | None] = {**terms, "v": ObservationTermCfg(values)}
-    groups: dict[str, ObservationGroupCfg | None] = {
-      "alone": ObservationGroupCfg(terms=terms),
-      "dict": ObservationGroupCfg(terms=both, concatenate_terms=False),
-    }
-    manager = ObservationManager(groups, env)
-    got = manager.compute()
-    assert torch.equal(tensor(got["alone"]), image(env))
-    assert isinstance(got["dict"], dict)
-    assert torch.equal(got["dict"]["camera"], image(env))
-    assert torch.equal(got["dict"]["v"], env.values)
+    camera = ObservationTermCfg(image)
+    assert torch.equal(seen(manager_of(env, camera=camera)), image(env))
+    parts = manager_of(env, {"concatenate_terms": False}, camera=camera, v=term()).compute()["g"]
+    assert isinstance(parts, dict)
+    assert torch.equal(parts["camera"], image(env))
+    assert torch.equal(parts["v"], env.values)
     with pytest.raises(ConfigError, match=r"'g/camera': shape \(1, 2, 3\) cannot be concatenated"):
-      ObservationManager({"g": ObservationGroupCfg(terms=both)}, env)
+      manager_of(env, camera=camera, v=term())
 
   def test_the_error_policy_names_term_and_worlds(self, env):
-    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, nan_policy="error")
-    manager = ObservationManager({"g": group}, env)
+    manager = manager_of(env, {"nan_policy": "error"}, t=term())
     manager.compute()
     env.values[2, 1] = torch.nan
     with pytest.raises(DivergedError, match="'g/t' is NaN or infinite in 1 worlds: 2"):
       manager.compute()
 
   def test_a_disabled_policy_lets_nan_through_beside_a_group_that_does_not(self, env, logged):
-    groups: dict[str, ObservationGroupCfg | None] = {
-      "raw": ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, nan_policy="disabled"),
-      "clean": ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}),
+    groups = {
+      "raw": ObservationGroupCfg(terms={"t": term()}, nan_policy="disabled"),
+      "clean": ObservationGroupCfg(terms={"t": term()}),
     }
     env.values[2, 1] = torch.nan
     manager = ObservationManager(groups, env)
@@ -406,14 +373,13 @@ class TestEvaluation:
       ({"noise": ConstantNoiseCfg(operation="mul")}, "operation 'mul' does not exist"),  # type: ignore
     ],
   )
-  def test_options_that_mean_nothing_are_errors_at_build(self, env, options, said):
+  def test_wrong_options_are_errors_at_build(self, env, options, said):
     with pytest.raises(ConfigError, match=f"(?s)g/t.*{said}"):
       one(env, **options)
 
   def test_a_history_of_a_group_that_is_no_count_is_an_error_at_build(self, env):
-    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(values)}, history_length=-1)
     with pytest.raises(ConfigError, match="group 'g': history_length must not be negative, got -1"):
-      ObservationManager({"g": group}, env)
+      manager_of(env, {"history_length": -1}, t=term())
 
   def test_a_replaced_option_that_is_wrong_is_an_error_until_it_is_replaced_again(self, env):
     manager = one(env, scale=2.0)
@@ -445,18 +411,11 @@ class TestEvaluation:
     copied.history_length, copied.params["columns"] = 3, 3
 
   def test_a_term_without_a_component_axis_is_an_error_at_build(self, env):
-    group = ObservationGroupCfg(terms={"t": ObservationTermCfg(lambda env: env.values[:, 0])})
     with pytest.raises(ConfigError, match="at least two dimensions"):
-      ObservationManager({"g": group}, env)
+      manager_of(env, t=ObservationTermCfg(lambda env: env.values[:, 0]))
 
   def test_a_step_asks_the_device_nothing_and_needs_few_operations(self, env, dispatched):
-    columns = {f"t{i}": ObservationTermCfg(values, scale=2.0, noise=UniformNoiseCfg()) for i in range(20)}
-    groups: dict[str, ObservationGroupCfg | None] = {
-      "actor": ObservationGroupCfg(terms=dict(columns), corrupt=True),
-      "critic": ObservationGroupCfg(terms=dict(columns)),
-    }
-    flat = ObservationManager(groups, env)
-    assert len(dispatched(lambda: flat.compute(env_mask))) <= 12
-
-
-env_mask = torch.tensor([False, True, False, True])
+    columns: Any = {f"t{i}": term(scale=2.0, noise=UniformNoiseCfg()) for i in range(20)}
+    groups = {name: ObservationGroupCfg(corrupt=name == "actor", terms=columns) for name in ("actor", "critic")}
+    flat, mask = ObservationManager(groups, env), env.mask(1, 3)
+    assert len(dispatched(lambda: flat.compute(mask))) <= 12

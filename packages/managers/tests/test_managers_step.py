@@ -195,7 +195,7 @@ class Step:
       self.metrics.compute_substep()
     env.episode_length_buf.add_(1)
     env.common_step_counter.add_(1)
-    # `others` stands for worlds that end for reasons of their own.
+    # `others` stands for worlds that end for other reasons.
     ended = self.terminations.compute() | self.others
     self.rewards.compute()
     self.metrics.compute()

@@ -199,7 +199,7 @@ def named(owner: str, name: str, error: Exception) -> MjlabError:
 
 @contextmanager
 def placed(what: str) -> Generator[None]:
-  """Add type and place to errors of terms; `what` tells when they occurred, such as "in a trial call".
+  """Add type and place to errors of terms; `what` is the moment of the error, such as "in a trial call".
 
   Raises:
     MjlabError: an error inside.
