@@ -88,7 +88,7 @@ class ObservationManager(ManagerBase[Any]):
   def _slot(self, term: Term, shape: tuple[int, ...]) -> TermLayout:
     group, _, name = term.name.partition("/")
     group_cfg, cfg = self._groups[group], self._cfgs[term.name]
-    given = cfg if group_cfg.history_length is None else group_cfg
+    given: Any = cfg if group_cfg.history_length is None else group_cfg
     history, flatten = given.history_length, given.flatten_history_dim
     width, out_shape = math.prod(shape), shape
     if history > 0:
