@@ -10,18 +10,17 @@ from mjlab_core import Config, ConfigError, Count, Finite, NonNegative, Positive
 
 EngineName = Literal["native", "warp"]
 
-_ENUMS = {
-  "integrator": mujoco.mjtIntegrator,
-  "cone": mujoco.mjtCone,
-  "jacobian": mujoco.mjtJacobian,
-  "solver": mujoco.mjtSolver,
-  "disableflags": mujoco.mjtDisableBit,
-  "enableflags": mujoco.mjtEnableBit,
-}
 # Numbers of the options that are chosen by name.
 _CHOICES: dict[str, dict[str, int]] = {
   option: {name.partition("_")[2].lower(): member.value for name, member in members.__members__.items() if "_" in name}
-  for option, members in _ENUMS.items()
+  for option, members in (
+    ("integrator", mujoco.mjtIntegrator),
+    ("cone", mujoco.mjtCone),
+    ("jacobian", mujoco.mjtJacobian),
+    ("solver", mujoco.mjtSolver),
+    ("disableflags", mujoco.mjtDisableBit),
+    ("enableflags", mujoco.mjtEnableBit),
+  )
 }
 _FLAGS = ("disableflags", "enableflags")
 

@@ -75,8 +75,7 @@ class HeightFields:
     """
     if d.naconmax != self._naconmax:
       self._build(d)
-    own = {name: getattr(pairs, name) for name in ("collision_pair", "collision_pairid", "collision_worldid")}
-    scene = filled(kernels.Scene, m, d, **own)
+    scene = filled(kernels.Scene, m, d, pairs)
     self._prisms.count.zero_()
     given = scene, self._prisms
     wp.launch(kernels.find_prisms, dim=d.naconmax, inputs=[*given, d.overflow])

@@ -19,13 +19,6 @@ def sync() -> None:
   """Wait for the other threads of the block, and make their writes visible."""
 
 
-@wp.kernel(enable_backward=False)
-def rest(qpos0: wp.array2d[float], qpos: wp.array2d[float]):
-  """Write the reference pose of every world."""
-  world, column = wp.tid()
-  qpos[world, column] = qpos0[world % qpos0.shape[0], column]
-
-
 @with_arrays(
   """M M_rownnz M_rowadr M_colind dof_bodyid dof_jntid dof_parentid jnt_type jnt_dofadr body_mass body_parentid
   body_rootid body_dofadr body_dofnum subtree_com xipos cdof ten_J ten_J_rownnz ten_J_rowadr ten_J_colind

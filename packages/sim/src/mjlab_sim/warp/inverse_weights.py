@@ -7,6 +7,7 @@ short sum for each row by itself, and worlds outside the mask cost nothing.
 """
 
 import dataclasses
+from typing import Any
 
 import mujoco
 import mujoco_warp as mjw
@@ -46,7 +47,6 @@ class InverseWeights:
         "num_shared": wp.array((is_entry @ is_entry.T).astype(np.int32), dtype=int),
         "root": wp.empty_like(d.M),
       }
-      self._qpos0 = wp.empty_like(d.qpos)
       self._no_contacts = wp.zeros_like(d.nacon)
 
   def compute(self, mask: wp.array) -> None:
@@ -59,8 +59,8 @@ class InverseWeights:
     mjw.crb(m, d)
     internals.tendon_armature(m, d)
     # Moments of the actuators at qpos0, without the contacts that adhesion averages over, as in MuJoCo.
-    wp.launch(kernels.rest, dim=d.qpos.shape, inputs=[m.qpos0], outputs=[self._qpos0])
-    mjw.transmission(m, dataclasses.replace(d, qpos=self._qpos0, nacon=self._no_contacts))
+    qpos0: Any = wp.to_torch(m.qpos0).expand(d.qpos.shape)
+    mjw.transmission(m, dataclasses.replace(d, qpos=wp.from_torch(qpos0), nacon=self._no_contacts))
     worlds = filled(kernels.Worlds, m, d, mask=mask, **self._own)
     wp.launch_tiled(kernels.invert_inertia, dim=d.nworld, inputs=[worlds], block_dim=_BLOCK)
     for kernel, field in (

@@ -140,8 +140,15 @@ class WarpRenderer:
   def _draw(self, context: Any, d: Any) -> None:
     m, view = self._stage.m, self._view
     mjw.render(m, d, context)
-    names = ("rgb_data", "depth_data", "seg_data", "rgb_adr", "depth_adr", "seg_adr", "znear")
-    own = {name: getattr(context, name) for name in names} | self._arrays
-    own |= {"is_due": wp.from_torch(self._is_due), "camera": view.camera, "width": view.width, "height": view.height}
-    pictures, size = filled(kernels.Pictures, m, d, **own), (self._stage.num_envs, view.width * view.height)
-    wp.launch(kernels.unpack_images, dim=size, inputs=[pictures])
+    pictures = filled(
+      kernels.Pictures,
+      m,
+      d,
+      context,
+      is_due=wp.from_torch(self._is_due),
+      camera=view.camera,
+      width=view.width,
+      height=view.height,
+      **self._arrays,
+    )
+    wp.launch(kernels.unpack_images, dim=(self._stage.num_envs, view.width * view.height), inputs=[pictures])

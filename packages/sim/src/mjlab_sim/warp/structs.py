@@ -33,8 +33,8 @@ def with_arrays(names: str) -> Callable[[type], Any]:
   return decorate
 
 
-def filled(struct: Any, m: mjw.Model, d: mjw.Data, **own: Any) -> Any:
-  """Return a struct with the fields of a model and of data, and with `own` for the fields that they do not have."""
+def filled(struct: Any, m: mjw.Model, d: mjw.Data, *others: Any, **own: Any) -> Any:
+  """Return a struct with the fields of a model, of data and of others, and with `own` for fields that they lack."""
   values = struct()
   for name in struct.vars:
     part, _, rest = name.partition("_")
@@ -43,7 +43,7 @@ def filled(struct: Any, m: mjw.Model, d: mjw.Data, **own: Any) -> Any:
     elif part in _PARTS:
       value = getattr(getattr(d, part), rest)
     else:
-      value = next(getattr(owner, name) for owner in (m, d, m.opt) if hasattr(owner, name))
+      value = next(getattr(owner, name) for owner in (m, d, m.opt, *others) if hasattr(owner, name))
     setattr(values, name, value)
   return values
 
