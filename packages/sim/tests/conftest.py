@@ -1,7 +1,7 @@
 """Simulations of one small model, on either engine."""
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,10 @@ from mjlab_sim import Simulation, SimulationCfg
 # The tests share a module.
 sys.path.insert(0, str(Path(__file__).parent))
 
-from sim_world import NUM_WORLDS, SIZES, WORLD
+from sim_world import NUM_WORLDS, SIZES, WORLD, MakeSim
 
 # Tiny tensors: a second thread would only wait for the first.
 torch.set_num_threads(1)
-
-MakeSim = Callable[..., Simulation]
 
 
 @pytest.fixture
@@ -42,3 +40,9 @@ def make_sim() -> Iterator[MakeSim]:
 def engine(request: pytest.FixtureRequest) -> str:
   """Either engine."""
   return request.param
+
+
+@pytest.fixture
+def sim(make_sim: MakeSim, engine: str) -> Simulation:
+  """Simulation of `WORLD` on either engine."""
+  return make_sim(engine)

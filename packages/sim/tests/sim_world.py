@@ -4,6 +4,7 @@ Kernels of MuJoCo Warp are compiled per model, so that one model, one `njmax` an
 tests of this package.
 """
 
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import mujoco
@@ -72,11 +73,21 @@ WORLD = """
 </mujoco>
 """
 NUM_WORLDS = 4
+MakeSim = Callable[..., Simulation]
 SIZES: dict[str, Any] = {"nconmax": 16, "njmax": 64, "integrator": None}
 
 
+MOTION = ("qpos", "qvel", "xpos", "sensordata", "qacc")
+
+
+def assert_same(sim: Simulation, other: Simulation, names: Iterable[str] = MOTION, worlds: Any = slice(None)) -> None:
+  """Assert that fields are bit-identical in two simulations."""
+  for name in names:
+    assert torch.equal(getattr(sim.data, name)[worlds], getattr(other.data, name)[worlds]), name
+
+
 def scatter(sim: Simulation, seed: int = 0) -> None:
-  """Give every world a state of its own: moving, driven, pushed, and in contact."""
+  """Give every world a different state: moving, driven, pushed, and in contact."""
   rng = np.random.default_rng(seed)
   n, model = sim.num_envs, sim.mj_model
 
@@ -99,19 +110,9 @@ def scatter(sim: Simulation, seed: int = 0) -> None:
 
 
 def reference(sim: Simulation, world: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
-  """MuJoCo C in the state of one world, nothing computed yet."""
+  """Return MuJoCo C in the state of one world, with nothing computed yet."""
   data = mujoco.MjData(sim.mj_model)
-  for name in (
-    "qpos",
-    "qvel",
-    "act",
-    "ctrl",
-    "qacc_warmstart",
-    "xfrc_applied",
-    "qfrc_applied",
-    "mocap_pos",
-    "mocap_quat",
-  ):
+  for name in "qpos qvel act ctrl qacc_warmstart xfrc_applied qfrc_applied mocap_pos mocap_quat".split():
     getattr(data, name)[:] = getattr(sim.data, name)[world].double().numpy()
   data.time = float(sim.data.time[world])
   return sim.mj_model, data

@@ -1,15 +1,13 @@
 """Nothing that is read is stale, whoever wrote whatever it follows from, and nothing is computed twice."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import mujoco
 import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation
-from sim_world import reference, scatter
-
-MakeSim = Callable[..., Simulation]
+from sim_world import MOTION, MakeSim, assert_same, reference, scatter
 
 
 @pytest.fixture
@@ -28,14 +26,6 @@ def count_forwards(monkeypatch: pytest.MonkeyPatch) -> Callable[[Simulation], li
     return calls
 
   return watch
-
-
-def plain(sim: Simulation) -> None:
-  sim.data.qpos.add_(0.05)
-
-
-def sliced(sim: Simulation) -> None:
-  sim.data.qpos[:, 21:23] += 0.05
 
 
 def kept_view(sim: Simulation) -> None:
@@ -63,22 +53,18 @@ def in_inference_mode(sim: Simulation) -> None:
     sim.data.qpos[:, 21:23] += 0.05
 
 
-def velocity(sim: Simulation) -> None:
-  sim.data.qvel.mul_(2.0)
+WRITES: Mapping[str, Callable[[Simulation], object]] = {
+  "whole": lambda sim: sim.data.qpos.add_(0.05),
+  "sliced": lambda sim: sim.data.qpos[:, 21:23].add_(0.05),
+  "velocity": lambda sim: sim.data.qvel.mul_(2.0),
+  "mocap": lambda sim: sim.data.mocap_pos[:, 0, 2].add_(0.1),
+} | {write.__name__: write for write in (kept_view, masked, assigned, augmented, in_inference_mode)}
 
 
-def mocap(sim: Simulation) -> None:
-  sim.data.mocap_pos[:, 0, 2] += 0.1
-
-
-WRITES = [plain, sliced, kept_view, masked, assigned, augmented, in_inference_mode, velocity, mocap]
-
-
-@pytest.mark.parametrize("write", WRITES, ids=lambda write: write.__name__)
+@pytest.mark.parametrize("write", WRITES.values(), ids=WRITES)
 def test_a_write_is_seen_by_the_next_reader_and_by_the_next_step(
-  make_sim: MakeSim, engine: str, write: Callable[[Simulation], None], count_forwards
+  sim: Simulation, engine: str, write: Callable[[Simulation], object], count_forwards
 ) -> None:
-  sim = make_sim(engine)
   scatter(sim)
   sim.step()
   forwards, epoch = count_forwards(sim), sim.version
@@ -104,8 +90,7 @@ def test_a_write_is_seen_by_the_next_reader_and_by_the_next_step(
     )
 
 
-def test_reading_costs_a_forward_once(make_sim: MakeSim, engine: str, count_forwards) -> None:
-  sim = make_sim(engine)
+def test_reading_costs_a_forward_once(sim: Simulation, count_forwards) -> None:
   scatter(sim)
   forwards = count_forwards(sim)
   first = sim.version
@@ -120,8 +105,7 @@ def test_reading_costs_a_forward_once(make_sim: MakeSim, engine: str, count_forw
   assert len(forwards) == 1
 
 
-def test_controls_and_forces_move_nothing_until_the_step(make_sim: MakeSim, engine: str, count_forwards) -> None:
-  sim = make_sim(engine)
+def test_controls_and_forces_move_nothing_until_the_step(sim: Simulation, count_forwards) -> None:
   sim.step()
   forwards, epoch = count_forwards(sim), sim.version
   for name in ("ctrl", "act", "xfrc_applied", "qfrc_applied"):
@@ -130,8 +114,7 @@ def test_controls_and_forces_move_nothing_until_the_step(make_sim: MakeSim, engi
   assert (sim.version, forwards) == (epoch, [])
 
 
-def test_a_reset_then_writes_then_reads_cost_one_forward(make_sim: MakeSim, engine: str, count_forwards) -> None:
-  sim = make_sim(engine)
+def test_a_reset_then_writes_then_reads_cost_one_forward(sim: Simulation, count_forwards) -> None:
   sim.step()
   forwards = count_forwards(sim)
   sim.reset(torch.tensor([True, False, False, True]))
@@ -142,8 +125,7 @@ def test_a_reset_then_writes_then_reads_cost_one_forward(make_sim: MakeSim, engi
   assert len(forwards) == 1
 
 
-def test_accelerations_are_those_of_the_substep_through_writes_and_resets(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_accelerations_are_those_of_the_substep_through_writes_and_resets(sim: Simulation) -> None:
   scatter(sim)
   for _ in range(3):
     sim.step()
@@ -164,8 +146,7 @@ def test_accelerations_are_those_of_the_substep_through_writes_and_resets(make_s
   assert torch.equal(after[1:], of_the_substep[1:])
 
 
-def test_a_write_in_one_world_leaves_the_others_bit_identical(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_a_write_in_one_world_leaves_the_others_bit_identical(sim: Simulation) -> None:
   scatter(sim)
   for _ in range(2):
     sim.step()
@@ -188,8 +169,7 @@ def test_what_a_world_does_does_not_depend_on_its_neighbours(make_sim: MakeSim, 
       alone.data.qpos[0, 21] += 0.1
     for sim in (together, alone):
       sim.step()
-  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
-    assert torch.equal(getattr(together.data, name)[[1, 3]], getattr(alone.data, name)[[1, 3]]), name
+  assert_same(together, alone, worlds=[1, 3])
 
 
 def test_a_world_of_many_is_a_world_alone(make_sim: MakeSim, engine: str) -> None:
@@ -200,7 +180,7 @@ def test_a_world_of_many_is_a_world_alone(make_sim: MakeSim, engine: str) -> Non
   for _ in range(10):
     many.step()
     one.step()
-  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
+  for name in MOTION:
     assert torch.equal(getattr(one.data, name)[0], getattr(many.data, name)[2]), name
 
 
@@ -211,12 +191,10 @@ def test_the_number_of_threads_makes_no_difference(make_sim: MakeSim) -> None:
     for _ in range(10):
       sim.step()
   for sim in sims[1:]:
-    assert torch.equal(sim.data.qpos, sims[0].data.qpos)
-    assert torch.equal(sim.data.sensordata, sims[0].data.sensordata)
+    assert_same(sim, sims[0])
 
 
-def test_switching_an_equality_on_acts_in_the_next_step(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_switching_an_equality_on_acts_in_the_next_step(sim: Simulation) -> None:
   sim.step()
   sim.data.eq_active[1, 0] = 1
   datas = [reference(sim, world)[1] for world in (0, 1)]
@@ -228,8 +206,7 @@ def test_switching_an_equality_on_acts_in_the_next_step(make_sim: MakeSim, engin
   assert not torch.allclose(sim.data.qvel[0], sim.data.qvel[1])
 
 
-def test_a_model_write_acts_in_the_next_step_and_is_seen_before(make_sim: MakeSim, engine: str, count_forwards) -> None:
-  sim = make_sim(engine)
+def test_a_model_write_acts_in_the_next_step_and_is_seen_before(sim: Simulation, count_forwards) -> None:
   _ = sim.version
   forwards = count_forwards(sim)
   sim.model.jnt_pos[0, 3, 2] += 0.1
@@ -248,8 +225,7 @@ def test_a_model_write_acts_in_the_next_step_and_is_seen_before(make_sim: MakeSi
   torch.testing.assert_close(sim.data.qvel[0].double(), torch.tensor(data.qvel), rtol=1e-4, atol=1e-5)
 
 
-def test_a_shared_write_is_seen_through_the_expansion_that_follows(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_a_shared_write_is_seen_through_the_expansion_that_follows(sim: Simulation) -> None:
   height = sim.data.site_xpos[:, 2, 2].clone()
   sim.model.site_pos[0, 2, 2] += 0.1
   sim.expand_model_fields(["site_pos"])
@@ -258,8 +234,7 @@ def test_a_shared_write_is_seen_through_the_expansion_that_follows(make_sim: Mak
   torch.testing.assert_close(sim.data.site_xpos[:, 2, 2] - height, torch.tensor([0.1, 0.2, 0.1, 0.1], dtype=sim.dtype))
 
 
-def test_a_write_to_what_a_field_was_before_its_expansion_is_an_error_by_name(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_a_write_to_what_a_field_was_before_its_expansion_is_an_error_by_name(sim: Simulation) -> None:
   mass, gravity = sim.model.body_mass, sim.model.opt.gravity
   part = mass[:, 1:3]
   sim.expand_model_fields(["body_mass"])

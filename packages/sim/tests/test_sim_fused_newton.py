@@ -1,7 +1,6 @@
 """The fused solver against MuJoCo C, by properties of the solution, on random models."""
 
 import itertools
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -13,8 +12,8 @@ from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp.fused_newton import FusedNewton, choose_solver
 from sim_problem import ROWS, Problem
+from sim_world import MakeSim
 
-MakeSim = Callable[..., Simulation]
 CONES = {
   "pyramidal": mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL,
   "elliptic": mujoco.mjtConstraint.mjCNSTR_CONTACT_ELLIPTIC,
@@ -62,9 +61,9 @@ def random_model(seed: int, cone: str) -> mujoco.MjModel:
   </mujoco>""")
 
 
-def random_problem(model: mujoco.MjModel, seed: int) -> Problem:
+def random_problem(seed: int, cone: str = "elliptic") -> Problem:
   """A random state of a random model."""
-  rng = np.random.default_rng(seed)
+  model, rng = random_model(seed, cone), np.random.default_rng(seed)
   host = mujoco.MjData(model)
   mujoco.mj_integratePos(model, host.qpos, rng.normal(0, 0.15, model.nv), 1.0)
   host.qpos[2] = rng.uniform(0.08, 0.12)
@@ -73,12 +72,17 @@ def random_problem(model: mujoco.MjModel, seed: int) -> Problem:
   return Problem(model, host)
 
 
+@pytest.fixture
+def problem() -> Problem:
+  return random_problem(3)
+
+
 @pytest.mark.warp
 @pytest.mark.parametrize("cone", CONES)
 def test_solutions_on_random_models_are_optimal_by_mujoco(cone: str) -> None:
   types, dims, worst = set(), set(), 0.0
   for seed in range(8):
-    problem = random_problem(random_model(seed, cone), seed)
+    problem = random_problem(seed, cone)
     m, d, host = problem.m, problem.d, problem.host
     assert d.nefc.numpy()[0] == host.nefc
     types |= set(host.efc_type.tolist())
@@ -103,8 +107,7 @@ def test_solutions_on_random_models_are_optimal_by_mujoco(cone: str) -> None:
 
 
 @pytest.mark.warp
-def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
-  problem = random_problem(random_model(3, "elliptic"), 3)
+def test_worlds_beyond_shared_memory_are_solved_alike(problem: Problem) -> None:
   m, d = problem.m, problem.d
   found = []
   for sizes in ({}, {"rows": 4}, {"groups": 8}):
@@ -120,8 +123,7 @@ def test_worlds_beyond_shared_memory_are_solved_alike() -> None:
 
 @pytest.mark.warp
 @pytest.mark.parametrize("run_qacc_smooth", [True, False])
-def test_a_world_without_rows_gets_its_smooth_acceleration(run_qacc_smooth: bool) -> None:
-  problem = random_problem(random_model(3, "elliptic"), 3)
+def test_a_world_without_rows_gets_its_smooth_acceleration(problem: Problem, run_qacc_smooth: bool) -> None:
   m, d = problem.m, problem.d
   m.opt.run_qacc_smooth = run_qacc_smooth
   for count in (d.ne, d.nf, d.nefc):
@@ -133,8 +135,7 @@ def test_a_world_without_rows_gets_its_smooth_acceleration(run_qacc_smooth: bool
 
 
 @pytest.mark.warp
-def test_a_solver_follows_buffers_that_grow() -> None:
-  problem = random_problem(random_model(3, "elliptic"), 3)
+def test_a_solver_follows_buffers_that_grow(problem: Problem) -> None:
   m, d = problem.m, problem.d
   found = []
   for rows in (8, ROWS):
@@ -146,8 +147,7 @@ def test_a_solver_follows_buffers_that_grow() -> None:
 
 
 @pytest.mark.warp
-def test_forces_and_states_of_rows_are_those_of_mujoco_warp() -> None:
-  problem = random_problem(random_model(3, "elliptic"), 3)
+def test_forces_and_states_of_rows_are_those_of_mujoco_warp(problem: Problem) -> None:
   m, d = problem.m, problem.d
   found = []
   for solve in (FusedNewton(m, d).solve, mjw.solve):

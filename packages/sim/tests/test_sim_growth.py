@@ -1,17 +1,15 @@
 """Buffers that size themselves: they grow before anything is lost, and nothing else changes."""
 
 import re
-from collections.abc import Callable
 
 import mujoco
 import pytest
 import torch
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp import buffers, engine
-from sim_world import NUM_WORLDS, WORLD, scatter
+from sim_world import NUM_WORLDS, WORLD, MakeSim, assert_same, scatter
 
 pytestmark = pytest.mark.warp
-MakeSim = Callable[..., Simulation]
 STATE = ("qpos", "qvel", "act", "qacc_warmstart", "qacc", "sensordata", "xpos", "nefc", "time")
 
 # Bodies begin in the air and fall: demand comes in the middle of the episode.
@@ -84,8 +82,7 @@ def test_a_saved_state_brings_its_sizes(make_sim: MakeSim) -> None:
   assert second.buffer_sizes == first.buffer_sizes
   first.step()
   second.step()
-  for name in STATE:
-    assert torch.equal(getattr(first.data, name), getattr(second.data, name)), name
+  assert_same(first, second, STATE)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,8 @@ import mujoco
 import pytest
 import torch
 import warp as wp
-from mjlab_sim import Simulation
 from mjlab_sim.warp.kernel_loading import load_kernels
-from sim_world import scatter
-
-MakeSim = Callable[..., Simulation]
+from sim_world import MakeSim, scatter
 
 
 @wp.kernel

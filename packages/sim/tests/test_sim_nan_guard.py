@@ -1,4 +1,4 @@
-"""What is remembered of a world that diverges, and what MuJoCo C makes of it."""
+"""Memory of worlds that diverge, and their replay in MuJoCo C."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -10,22 +10,26 @@ import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import NanDump, NanGuard, NanGuardCfg, Simulation, SimulationCfg
-from sim_world import scatter
+from sim_world import MakeSim, scatter
 from torch.utils._python_dispatch import TorchDispatchMode
 
-MakeSim = Callable[..., Simulation]
 DECIMATION = 2
 
 
-def run(sim: Simulation, guard: NanGuard, steps: int, before: Callable[[int, int], None] | None = None) -> None:
-  """So many environment steps; `before(step, substep)` may write before a physics step."""
+def run(
+  sim: Simulation, guard: NanGuard, steps: int, writes: dict[tuple[int, int], Callable[[], object]] | None = None
+) -> list[torch.Tensor]:
+  """Run environment steps with `writes` before some physics steps, by (step, substep); return qpos before each."""
+  seen = []
   for step in range(steps):
     for substep in range(DECIMATION):
-      if before is not None:
-        before(step, substep)
+      if writes and (step, substep) in writes:
+        writes[step, substep]()
+      seen.append(sim.data.qpos.clone())
       guard.record(substep)
       sim.step()
     guard.keep(~torch.isfinite(sim.data.qpos).all(dim=1))
+  return seen
 
 
 def make_guard(sim: Simulation, folder: Path | None, **options: Any) -> NanGuard:
@@ -40,20 +44,12 @@ def only_dump(guard: NanGuard, folder: Path) -> NanDump:
 
 @pytest.mark.parametrize("on_host", [True, False], ids=["as on a CPU", "as on a GPU"])
 def test_a_dump_holds_the_states_that_led_there_and_names_what_was_first(
-  make_sim: MakeSim, engine: str, tmp_path: Path, *, on_host: bool
+  sim: Simulation, tmp_path: Path, *, on_host: bool
 ) -> None:
-  sim = make_sim(engine)
   scatter(sim)
   guard = make_guard(sim, tmp_path, buffer_size=3)
   guard._on_host = on_host
-  seen: list[np.ndarray] = []
-
-  def before(step: int, substep: int) -> None:
-    if (step, substep) == (4, 1):
-      sim.data.qfrc_applied[2, 19] = torch.nan
-    seen.append(sim.data.qpos[2].numpy().copy())
-
-  run(sim, guard, 5, before)
+  seen = run(sim, guard, 5, {(4, 1): lambda: sim.data.qfrc_applied[2, 19].fill_(torch.nan)})
   lines = guard.report()
   assert lines[0] == (
     "world 2 diverged: qfrc_applied of joint 'elbow' was nan before physics step 2 of 2 of environment step 5:"
@@ -61,41 +57,31 @@ def test_a_dump_holds_the_states_that_led_there_and_names_what_was_first(
   )
   world = only_dump(guard, tmp_path).worlds[0]
   assert (world.index, world.env_step, world.num_steps) == (2, 5, 6)
-  np.testing.assert_array_equal(world.states["qpos"][:-1], np.array(seen[-6:]))
+  np.testing.assert_array_equal(world.states["qpos"][:-1], torch.stack(seen[-6:])[:, 2].numpy())
   assert np.isnan(world.states["qpos"][-1]).any()
   assert guard.report() == []
 
 
 def test_mujoco_c_diverges_from_a_dumped_state_where_the_physics_do(
-  make_sim: MakeSim, engine: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+  sim: Simulation, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-  sim = make_sim(engine)
   guard = make_guard(sim, tmp_path)
-
-  def before(step: int, substep: int) -> None:
-    if step == 2:
-      sim.data.qfrc_applied[1, 0] = 1e300 if sim.dtype == torch.float64 else 3e38
-
-  run(sim, guard, 3, before)
+  huge = 1e300 if sim.dtype == torch.float64 else 3e38
+  run(sim, guard, 3, {(2, 0): lambda: sim.data.qfrc_applied[1, 0].fill_(huge)})
   world = only_dump(guard, tmp_path).worlds[0]
   replay = world.replay()
   assert capfd.readouterr() == ("", "")
-  # The force is finite, and yet what went first.
+  # The force is finite, but it is the first number beyond the bound.
   assert world.describe_first().startswith("qfrc_applied of joint 0 was ")
   assert replay.diverged_at is not None
   assert replay.diverged_at >= 4
 
 
-def test_mujoco_c_stays_finite_where_somebody_wrote_the_state(make_sim: MakeSim, tmp_path: Path) -> None:
+def test_mujoco_c_stays_finite_where_the_state_was_written(make_sim: MakeSim, tmp_path: Path) -> None:
   sim = make_sim()
   scatter(sim)
   guard = make_guard(sim, tmp_path)
-
-  def before(step: int, substep: int) -> None:
-    if (step, substep) == (3, 0):
-      sim.data.qvel[0, 19] = torch.inf
-
-  run(sim, guard, 4, before)
+  run(sim, guard, 4, {(3, 0): lambda: sim.data.qvel[0, 19].fill_(torch.inf)})
   world = only_dump(guard, tmp_path).worlds[0]
   assert world.describe_first() == (
     "qvel of joint 'elbow' was inf before physics step 1 of 2 of environment step 4: an event, a reset or a"
@@ -115,13 +101,8 @@ def test_a_replay_uses_the_worlds_own_model_fields(make_sim: MakeSim, tmp_path: 
   sim.model.opt.gravity[:, 2] = torch.tensor([-1.0, -2.0, -3.0, -4.0], dtype=sim.dtype)
   sim.recompute_constants()
   guard = make_guard(sim, tmp_path)
-
-  def before(step: int, substep: int) -> None:
-    if step == 5:
-      sim.data.qfrc_applied[2, 0] = torch.nan
-
-  run(sim, guard, 6, before)
-  # The world begins anew with other values; the dump keeps those it diverged with.
+  run(sim, guard, 6, {(5, 0): lambda: sim.data.qfrc_applied[2, 0].fill_(torch.nan)})
+  # The world restarts with other values; the dump keeps those it diverged with.
   sim.model.body_mass[:, 1] = 7.0
   world = only_dump(guard, tmp_path).worlds[0]
   assert world.model_fields["body_mass"][1] == pytest.approx(3.0)
@@ -133,14 +114,7 @@ def test_what_is_from_before_a_reset_is_left_out(make_sim: MakeSim, tmp_path: Pa
   sim = make_sim()
   guard = make_guard(sim, tmp_path)
   only = torch.tensor([False, True, False, False])
-
-  def before(step: int, substep: int) -> None:
-    if (step, substep) == (3, 0):
-      sim.reset(only)
-    if step == 5:
-      sim.data.qfrc_applied[1, 0] = torch.nan
-
-  run(sim, guard, 6, before)
+  run(sim, guard, 6, {(3, 0): lambda: sim.reset(only), (5, 0): lambda: sim.data.qfrc_applied[1, 0].fill_(torch.nan)})
   world = only_dump(guard, tmp_path).worlds[0]
   assert world.num_steps == 3 * DECIMATION
   assert world.states["time"][0] == 0.0
@@ -159,7 +133,7 @@ def test_many_worlds_at_once_share_one_file_of_bounded_size(make_sim: MakeSim, t
   ]
   assert lines[-1] == "worlds that diverge from now on are only counted (--env.sim.nan-guard.max-dumps)"
   assert [world.index for world in only_dump(guard, tmp_path).worlds] == [0, 1]
-  # One that diverges anew is news, but the files are used up.
+  # A world that diverges again counts, but all files are used.
   sim.reset()
   run(sim, guard, 1)
   sim.data.qvel[3, 0] = torch.nan
@@ -180,7 +154,7 @@ def test_worlds_that_diverge_again_and_again_are_counted_once(make_sim: MakeSim)
   assert guard.report() == []
 
 
-def test_a_world_that_stays_so_is_told_once(make_sim: MakeSim) -> None:
+def test_a_world_that_stays_diverged_is_reported_once(make_sim: MakeSim) -> None:
   sim = make_sim()
   guard = make_guard(sim, None)
   sim.data.qvel[0, 0] = torch.nan
@@ -241,20 +215,20 @@ def test_remembering_and_keeping_never_wait_for_the_device(make_sim: MakeSim) ->
 
 def test_files_that_are_no_dumps_are_refused_by_name(tmp_path: Path) -> None:
   path = tmp_path / "x.npz"
-  with pytest.raises(MjlabError, match=r"x\.npz: no such file"):
-    NanDump.load(path)
+
+  def refused(message: str) -> None:
+    with pytest.raises(MjlabError, match=rf"^NaN dump \S+x\.npz: {message}"):
+      NanDump.load(path)
+
+  refused("no such file")
   path.write_bytes(b"nonsense")
-  with pytest.raises(MjlabError, match=r"^NaN dump \S+x\.npz: not an \.npz file$"):
-    NanDump.load(path)
+  refused(r"not an \.npz file$")
   np.savez(path, about=np.array('{"format": "mjlab NaN dump 9"}'))
-  with pytest.raises(MjlabError, match=r"^NaN dump \S+x\.npz: format is 'mjlab NaN dump 9', here it is"):
-    NanDump.load(path)
+  refused("format is 'mjlab NaN dump 9', here it is")
   np.savez(path, a=np.zeros(3))
-  with pytest.raises(MjlabError, match=r"x\.npz: lacks 'about'"):
-    NanDump.load(path)
+  refused("lacks 'about'")
   np.savez(path, about=np.array([{"evil": 1}], dtype=object))
-  with pytest.raises(MjlabError, match=r"x\.npz: Object arrays cannot be loaded"):
-    NanDump.load(path)
+  refused("Object arrays cannot be loaded")
 
 
 def test_sizes_that_keep_nothing_are_refused() -> None:

@@ -1,34 +1,27 @@
 """What a simulation can be asked for, and how it refuses the rest."""
 
 from collections.abc import Callable
+from typing import Any
 
 import mujoco
 import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
-from sim_world import WORLD
-
-MakeSim = Callable[..., Simulation]
+from sim_world import MOTION, WORLD, MakeSim, assert_same
 
 REFUSALS = [
   ({"timestep": -0.001}, "timestep must be positive, got -0.001"),
-  ({"timestep": 0.0}, "timestep must be positive"),
   ({"timestep": float("inf")}, "timestep must be finite"),
   ({"gravity": (0.0, float("nan"), 0.0)}, "gravity must be a number, got (0.0, nan, 0.0)"),
   ({"gravity": 9.81}, "gravity must be a tuple, got 9.81"),
   ({"impratio": 0.0}, "impratio must be positive"),
   ({"iterations": 2.5}, "iterations must be a whole number, got 2.5"),
   ({"tolerance": float("nan")}, "tolerance must be a number, got nan"),
-  ({"iterations": 0}, "iterations must be at least 1"),
   ({"nconmax": -1}, "nconmax must be at least 1, got -1"),
-  ({"tolerance": -1.0}, "tolerance must not be negative"),
   ({"num_threads": -2}, "num_threads must not be negative, got -2"),
   ({"engine": "wrap"}, "engine 'wrap' does not exist. Nearest: warp"),
-  ({"engine": None}, "engine must be 'auto' or 'native' or 'warp', got None"),
   ({"solver": "newtn"}, "solver 'newtn' does not exist. Nearest: newton"),
-  ({"integrator": "rk5"}, "integrator 'rk5' does not exist"),
-  ({"cone": "eliptic"}, "Nearest: elliptic"),
   ({"disableflags": ("contac",)}, "disableflags 'contac' does not exist. Nearest: contact"),
   ({"disableflags": ("mjndisable",)}, "disableflags 'mjndisable' does not exist"),
   ({"enableflags": ("enrgy",)}, "enableflags 'enrgy' does not exist. Nearest: energy"),
@@ -89,16 +82,11 @@ def test_devices_that_do_not_exist_are_refused() -> None:
       Simulation(1, spec, device="cuda")
 
 
-def test_masks_that_do_not_fit_are_refused_before_anything_changes(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_masks_that_do_not_fit_are_refused_before_anything_changes(sim: Simulation) -> None:
   sim.step()
   before = sim.data.qpos.clone()
-  for mask in (
-    torch.ones(3, dtype=torch.bool),
-    torch.ones(4),
-    torch.tensor([0, 1]),
-    torch.ones(4, 1, dtype=torch.bool),
-  ):
+  bools = torch.ones(4, 1, dtype=torch.bool)
+  for mask in (bools[:3, 0], torch.ones(4), torch.tensor([0, 1]), bools):
     with pytest.raises(MjlabError, match=r"reset: mask must be bool of shape \(4,\)"):
       sim.reset(mask)
     with pytest.raises(MjlabError, match="recompute_constants: mask must be bool"):
@@ -106,8 +94,7 @@ def test_masks_that_do_not_fit_are_refused_before_anything_changes(make_sim: Mak
   assert torch.equal(sim.data.qpos, before)
 
 
-def test_fields_that_cannot_differ_per_world_are_refused_with_the_nearest(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_fields_that_cannot_differ_per_world_are_refused_with_the_nearest(sim: Simulation) -> None:
   with pytest.raises(MjlabError, match=r"per-world model field 'body_mss' does not exist.*Nearest: body_mass"):
     sim.expand_model_fields(["geom_friction", "body_mss"])
   assert not sim.is_expanded("geom_friction")
@@ -128,16 +115,8 @@ def test_none_keeps_the_options_of_the_model(make_sim: MakeSim) -> None:
 def test_an_option_that_is_set_wins_and_flags_add_up(make_sim: MakeSim) -> None:
   text = '<mujoco><option timestep="0.004" solver="CG"><flag warmstart="disable"/></option><worldbody/></mujoco>'
   spec = mujoco.MjSpec.from_string(text)
-  cfg = SimulationCfg(
-    timestep=0.001,
-    solver="newton",
-    cone="elliptic",
-    jacobian="sparse",
-    iterations=5,
-    gravity=(0.0, 0.0, -1.6),
-    disableflags=("contact",),
-    enableflags=("energy",),
-  )
+  chosen: dict[str, Any] = {"solver": "newton", "cone": "elliptic", "jacobian": "sparse", "gravity": (0.0, 0.0, -1.6)}
+  cfg = SimulationCfg(timestep=0.001, iterations=5, disableflags=("contact",), enableflags=("energy",), **chosen)
   sim = Simulation(1, spec, cfg, "cpu")
   option = sim.mj_model.opt
   assert (sim.timestep, option.timestep, option.solver, option.cone, option.jacobian) == (0.001, 0.001, 2, 1, 1)
@@ -168,33 +147,24 @@ def test_a_model_beyond_mujoco_warp_is_refused_with_its_reason(make_sim: MakeSim
     make_sim("warp", spec=text)
 
 
-def test_a_closed_simulation_says_that_it_is_closed(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_a_closed_simulation_says_that_it_is_closed(sim: Simulation) -> None:
   sim.step()
   sim.close()
   sim.close()
-  uses: dict[str, Callable[[], object]] = {
-    "step": sim.step,
-    "reset": sim.reset,
-    "forward": sim.forward,
-    "version": lambda: sim.version,
-    "state": lambda: sim.data.qpos,
-    "derived": lambda: sim.data.xpos,
-    "model": lambda: sim.model.body_mass,
-    "rays": lambda: sim.make_ray_caster(1),
-    "save": sim.state_dict,
-    "load": lambda: sim.load_state_dict({"data": {}, "model": {}}),
-    "expand": lambda: sim.expand_model_fields(["body_mass"]),
-    "recompute": sim.recompute_constants,
-    "report": sim.overflow_report,
-    "capture": lambda: sim.capture(lambda: None)(),
-  }
-  answers = {}
-  for name, use in uses.items():
-    with pytest.raises(MjlabError) as refusal:
+  uses: list[Callable[[], object]] = [
+    *(sim.step, sim.reset, sim.forward, sim.state_dict, sim.recompute_constants, sim.overflow_report),
+    lambda: sim.version,
+    lambda: sim.data.qpos,
+    lambda: sim.data.xpos,
+    lambda: sim.model.body_mass,
+    lambda: sim.make_ray_caster(1),
+    lambda: sim.load_state_dict({"data": {}, "model": {}}),
+    lambda: sim.expand_model_fields(["body_mass"]),
+    lambda: sim.capture(lambda: None)(),
+  ]
+  for use in uses:
+    with pytest.raises(MjlabError, match="closed"):
       use()
-    answers[name] = "closed" in str(refusal.value)
-  assert answers == dict.fromkeys(uses, True)
 
 
 def test_a_diverged_world_stays_its_own_affair(
@@ -210,9 +180,7 @@ def test_a_diverged_world_stays_its_own_affair(
   for _ in range(5):
     sim.step()
     healthy.step()
-  well = [0, 3]
-  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc"):
-    assert torch.equal(getattr(sim.data, name)[well], getattr(healthy.data, name)[well]), name
+  assert_same(sim, healthy, worlds=[0, 3])
   assert not torch.isfinite(sim.data.qpos[1]).all()
   assert not torch.isfinite(sim.data.qpos[2]).all()
   bad = torch.tensor([False, True, True, False])
@@ -221,6 +189,5 @@ def test_a_diverged_world_stays_its_own_affair(
   for _ in range(3):
     for s in (sim, healthy):
       s.step()
-  for name in ("qpos", "qvel", "xpos", "sensordata", "qacc", "actuator_force"):
-    assert torch.equal(getattr(sim.data, name), getattr(healthy.data, name)), name
+  assert_same(sim, healthy, (*MOTION, "actuator_force"))
   assert not list(tmp_path.iterdir())

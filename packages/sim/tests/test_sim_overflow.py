@@ -4,15 +4,12 @@ Class of the regression tests: a figure that is read at one moment stands for a 
 """
 
 import re
-from collections.abc import Callable
 
 import mujoco
 import pytest
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
-from sim_world import WORLD
-
-MakeSim = Callable[..., Simulation]
+from sim_world import WORLD, MakeSim
 
 # Nothing touches the floor to begin with: contacts that a model starts with must fit, or it is refused.
 AIRBORNE = WORLD.replace(".0995", ".9").replace(".0495", ".9")

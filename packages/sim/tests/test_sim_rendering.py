@@ -1,15 +1,12 @@
 """Images: each world's own, in fixed memory, drawn where they are asked for."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation
-from sim_world import scatter
-
-MakeSim = Callable[..., Simulation]
+from sim_world import MakeSim, scatter
 
 ALL: Any = ("rgb", "depth", "distance", "segmentation")
 
@@ -19,8 +16,7 @@ def clones(images: Any) -> list[torch.Tensor]:
 
 
 @pytest.mark.warp
-def test_worlds_outside_the_mask_keep_their_images(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_worlds_outside_the_mask_keep_their_images(sim: Simulation) -> None:
   scatter(sim)
   renderer, reference = (sim.make_renderer(0, 6, 4, ALL) for _ in range(2))
   black = clones(renderer.images)

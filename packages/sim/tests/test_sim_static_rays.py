@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.rays import fixed_geoms, triangulate
 from sim_rays import check, mujoco_rays
@@ -186,16 +185,3 @@ def test_triangles_are_counter_clockwise_from_outside_and_closed() -> None:
       assert edges == {(b, a) for a, b in edges}
     a, b, c = vertices[triangles].swapaxes(0, 1)
     assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 > 0.0
-
-
-@pytest.mark.parametrize(
-  ("options", "message"),
-  [
-    ({"bodyexclude": (0, 1, 99)}, r"bodyexclude must be in \[-1, 2\], got \(0, 1, 99\)"),
-    ({"max_distance": 0.0}, "max_distance must be positive"),
-  ],
-)
-def test_what_does_not_fit_is_refused(options: dict[str, Any], message: str) -> None:
-  sim = build(rough_ground(), "native")
-  with pytest.raises(MjlabError, match=message):
-    sim.make_ray_caster(3, **options)

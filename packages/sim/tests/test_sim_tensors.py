@@ -1,16 +1,12 @@
 """`sim.data.qpos` and `sim.model.body_mass` are tensors like any other, over the engine's own memory."""
 
-from collections.abc import Callable
-
 import pytest
 import torch
 from mjlab_sim import Simulation, TorchArray
+from sim_world import MakeSim
 
-MakeSim = Callable[..., Simulation]
 
-
-def test_a_field_is_a_tensor_of_the_engines_precision_in_fixed_memory(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_a_field_is_a_tensor_of_the_engines_precision_in_fixed_memory(sim: Simulation, engine: str) -> None:
   qpos = sim.data.qpos
   assert isinstance(qpos, TorchArray)
   assert isinstance(qpos, torch.Tensor)
@@ -27,8 +23,7 @@ def test_a_field_is_a_tensor_of_the_engines_precision_in_fixed_memory(make_sim: 
     assert getattr(sim.data, name).data_ptr() == address
 
 
-def test_operations_give_plain_tensors(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_operations_give_plain_tensors(sim: Simulation) -> None:
   qpos, qvel = sim.data.qpos, sim.data.qvel
   results = [qpos + 1, 2.0 * qpos, -qpos, qpos[:, :3], qpos.clone(), qpos.reshape(-1), torch.sin(qpos), qpos == qpos]
   results += [torch.cat([qpos, qvel], -1), torch.stack([qpos, qpos]), torch.where(qpos > 0, qpos, 0.0)]
@@ -38,8 +33,7 @@ def test_operations_give_plain_tensors(make_sim: MakeSim, engine: str) -> None:
   assert type(torch.nn.functional.pad(qpos, (0, 1))) is torch.Tensor
 
 
-def test_in_place_operators_write_to_the_simulation(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_in_place_operators_write_to_the_simulation(sim: Simulation) -> None:
   before = sim.data.qpos.clone()
   view = sim.data.qpos[:, :3]
   sim.data.qpos += 1
@@ -73,16 +67,14 @@ def test_a_field_first_read_in_inference_mode_can_be_written_outside_of_it(make_
   torch.testing.assert_close(sim.data.site_xpos[:, 0, 2], height + 0.1, rtol=1e-4, atol=1e-3)
 
 
-def test_gradients_stay_outside(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_gradients_stay_outside(sim: Simulation) -> None:
   weight = torch.ones(3, dtype=sim.dtype, requires_grad=True)
   (sim.data.qpos[:, :3] * weight).sum().backward()
   assert weight.grad is not None
   assert not sim.data.qpos.requires_grad
 
 
-def test_an_unknown_field_is_named_with_the_nearest(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
+def test_an_unknown_field_is_named_with_the_nearest(sim: Simulation) -> None:
   with pytest.raises(AttributeError, match=r"data field 'qposs' does not exist.*Nearest: qpos"):
     _ = sim.data.qposs
   with pytest.raises(AttributeError, match=r"per-world model field 'body_mas' does not exist.*body_mass"):
@@ -91,11 +83,3 @@ def test_an_unknown_field_is_named_with_the_nearest(make_sim: MakeSim, engine: s
     _ = sim.model.jnt_type
   with pytest.raises(AttributeError, match=r"'opt.gravty' does not exist.*opt.gravity"):
     _ = sim.model.opt.gravty
-
-
-def test_matrices_are_three_by_three(make_sim: MakeSim, engine: str) -> None:
-  sim = make_sim(engine)
-  for name in ("xmat", "ximat", "geom_xmat", "site_xmat", "cam_xmat"):
-    field = getattr(sim.data, name)
-    assert field.shape[2:] == (3, 3)
-    torch.testing.assert_close(field @ field.mT, torch.eye(3, dtype=sim.dtype).expand_as(field))
