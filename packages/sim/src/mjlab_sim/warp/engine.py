@@ -237,10 +237,14 @@ class WarpEngine:
 
   def _ours(self) -> AbstractContextManager[None]:
     """Have MuJoCo Warp call the parts of a step that are ours."""
-    solve = None if self._fused is None else self._fused.solve
-    broadphase = None if self._broadphase is None else self._broadphase.find_pairs
-    narrowphase = None if self._height_fields is None else self._height_fields.narrowphase
-    return internals.stepping_with(solve, broadphase, narrowphase)
+    calls = {}
+    if self._fused is not None:
+      calls["solve"] = self._fused.solve
+    if self._broadphase is not None:
+      calls["nxn_broadphase"] = self._broadphase.find_pairs
+    if self._height_fields is not None:
+      calls["convex_narrowphase"] = self._height_fields.narrowphase
+    return internals.stepping_with(calls)
 
   def _reset(self) -> None:
     mjw.reset_data(self._m, self._d, self._mask)

@@ -10,7 +10,7 @@ saves a factorisation per step, with the same motion, but leaves `qacc_smooth` s
 
 import contextlib
 import importlib
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -58,19 +58,11 @@ def __getattr__(name: str) -> Any:
 
 
 @contextmanager
-def stepping_with(
-  solve: Callable[..., None] | None,
-  broadphase: Callable[..., None] | None,
-  narrowphase: Callable[..., None] | None,
-) -> Generator[None]:
-  """Have steps of MuJoCo Warp call these instead of its own solver and collisions; None keeps its own."""
+def stepping_with(calls: Mapping[str, Callable[..., None]]) -> Generator[None]:
+  """Have steps of MuJoCo Warp call these functions instead of those of `PRIVATE` with the same name."""
   with contextlib.ExitStack() as stack:
-    for module, name, call in (
-      ("solver", "solve", solve),
-      ("collision_driver", "nxn_broadphase", broadphase),
-      ("collision_driver", "convex_narrowphase", narrowphase),
-    ):
-      if call is not None:
-        owner = importlib.import_module(f"mujoco_warp._src.{module}")
-        stack.enter_context(replaced(owner, name, call))
+    for path in PRIVATE:
+      module, _, name = path.rpartition(".")
+      if name in calls:
+        stack.enter_context(replaced(importlib.import_module(module), name, calls[name]))
     yield

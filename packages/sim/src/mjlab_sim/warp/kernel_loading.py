@@ -10,17 +10,11 @@ from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import warp as wp
 
 from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
-
-fcntl: ModuleType | None = None
-# On Windows, which has none, each process compiles for itself.
-with contextlib.suppress(ImportError):
-  import fcntl
 
 _Variants = dict[Any, dict[int | None, None]]
 
@@ -57,25 +51,19 @@ def _digest(variants: _Variants, device: Any) -> str:
 @contextmanager
 def _once_per_cache(digest: str) -> Generator[None]:
   """Let one process fill the cache while others that need the same kernels wait; these then load at once."""
-  cache = wp.config.kernel_cache_dir
-  try:
-    file = (Path(cache) / f"mjlab_{digest}.lock").open("ab") if fcntl is not None and cache else None
-  except OSError:
-    # The cache is read-only: nothing is compiled into it.
+  with contextlib.ExitStack() as stack:
     file = None
-  if file is None or fcntl is None:
-    yield
-    return
-  with file:
-    # The system takes the lock from a process that dies. Some network file systems have none.
-    with contextlib.suppress(OSError):
+    # Windows has no such locks, nor have some network file systems. Nothing is compiled into a cache that is read-only.
+    with contextlib.suppress(ImportError, OSError):
+      import fcntl
+
+      file = stack.enter_context(Path(str(wp.config.kernel_cache_dir), f"mjlab_{digest}.lock").open("ab"))
+      # The system takes the lock from a process that dies.
       fcntl.flock(file, fcntl.LOCK_EX)
-    is_filled = os.fstat(file.fileno()).st_size > 0
-    if is_filled:
-      with contextlib.suppress(OSError):
-        fcntl.flock(file, fcntl.LOCK_UN)
+      if os.fstat(file.fileno()).st_size > 0:
+        file.close()
     yield
-    if not is_filled:
+    if file is not None and not file.closed:
       file.write(b"filled\n")
 
 

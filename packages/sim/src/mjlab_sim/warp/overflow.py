@@ -42,9 +42,9 @@ class Overflow:
     self._most: Any = wp.zeros(3, dtype=wp.int32, device=device)
     self._growing = [name for name in ("nconmax", "njmax") if getattr(cfg, name) == "auto"]
     self._news: list[str] = []
-    self._arrival: torch.cuda.Event | None = None
     if device.is_cuda:
-      self._most_torch = wp.to_torch(self._most)
+      # An event that was never recorded counts as done.
+      self._most_torch, self._arrival = wp.to_torch(self._most), torch.cuda.Event()
       self._arrived = torch.zeros(3, dtype=torch.int32, pin_memory=True)
     self._fits = {
       "nconmax": d.naconmax // d.nworld,
@@ -99,9 +99,7 @@ class Overflow:
     d = self._d
     if not d.qpos.device.is_cuda:
       return self._per_setting(*(max(count.list()) for count in (d.nefc, d.nacon, d.ncollision)))
-    if self._arrival is None:
-      self._arrival = torch.cuda.Event()
-    elif not self._arrival.query():
+    if not self._arrival.query():
       return dict.fromkeys(self._growing, 0)
     demand = self._per_setting(*self._arrived.tolist())
     self._arrived.copy_(self._most_torch, non_blocking=True)
