@@ -1,4 +1,4 @@
-"""Process that loads two kernels once it is told to, as the simulation does, and says which ones it compiled."""
+"""Process that loads two kernels once it is asked to, as the simulation does, and prints which ones it compiled."""
 
 import sys
 

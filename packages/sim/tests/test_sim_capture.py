@@ -76,7 +76,7 @@ def test_a_step_graph_leaves_nothing_stale(sim: Simulation) -> None:
   assert sim.version > epoch
 
 
-# What a recording does to its owner, with a recorder that notes calls instead
+# Effects of a recording, with a recorder that only notes calls
 
 
 class FakeRecorder:
@@ -171,7 +171,7 @@ def test_an_error_while_recording_leaves_nothing_half_recorded(recording: Any) -
   assert (graph.num_graphs, calls[-1]) == (1, True)
 
 
-def test_contacts_are_in_a_new_recording_once_somebody_wants_them(recording: Any) -> None:
+def test_contacts_are_in_a_new_recording_after_the_first_request(recording: Any) -> None:
   sims: list[Simulation] = []
   graph = recording(lambda sim: (sims.append(sim), sim.step()))
   for _ in range(4):
@@ -190,6 +190,7 @@ def test_contacts_are_in_a_new_recording_once_somebody_wants_them(recording: Any
 @pytest.mark.parametrize(
   ("change", "name"),
   [(lambda sim: sim.contacts(0), "contacts"), (lambda sim: sim.expand_model_fields(["body_mass"]), "body_mass")],
+  ids=["contacts", "model field"],
 )
 def test_memory_is_not_replaced_under_a_recorded_step(
   recording: Any, change: Callable[[Simulation], object], name: str, eager: bool
@@ -280,7 +281,7 @@ def test_a_recording_is_split_around_an_eager_call_on_a_gpu(gpu_sim: Simulation)
 
 
 @needs_gpu
-def test_registered_generators_draw_anew_in_each_replay_on_a_gpu(gpu_sim: Simulation) -> None:
+def test_registered_generators_draw_new_numbers_in_each_replay_on_a_gpu(gpu_sim: Simulation) -> None:
   generator = torch.Generator("cuda").manual_seed(3)
   drawn = torch.zeros(16, device="cuda")
   graph = gpu_sim.capture(
@@ -296,7 +297,7 @@ def test_registered_generators_draw_anew_in_each_replay_on_a_gpu(gpu_sim: Simula
 
 
 @needs_gpu
-def test_expanding_a_field_records_anew_on_a_gpu(gpu_sim: Simulation) -> None:
+def test_expanding_a_field_records_again_on_a_gpu(gpu_sim: Simulation) -> None:
   graph = gpu_sim.capture(gpu_sim.step)
   for _ in range(5):
     graph()

@@ -1,4 +1,4 @@
-"""Contacts are those that the engine had: of the substep just done, with the forces it solved for."""
+"""Contacts of the substep just done, with the forces that the engine solved for."""
 
 import copy
 import dataclasses
@@ -26,7 +26,7 @@ def found(contacts: Contacts[torch.Tensor]) -> dict[str, np.ndarray]:
   return {name: field[order] for name, field in fields.items()}
 
 
-def test_what_rests_is_carried_by_its_contacts(sim: Simulation) -> None:
+def test_contacts_carry_the_weight_of_resting_bodies(sim: Simulation) -> None:
   model = sim.mj_model
   for world in range(NUM_WORLDS):
     assert not sim.contacts(world).found.any()
@@ -47,7 +47,7 @@ def test_what_rests_is_carried_by_its_contacts(sim: Simulation) -> None:
   assert sim.data.qvel[:, :18].abs().max() < 1e-3
 
 
-def test_contacts_are_what_the_engines_own_contact_sensor_says(sim: Simulation) -> None:
+def test_contacts_are_those_of_the_contact_sensor(sim: Simulation) -> None:
   block, column = sim.mj_model.geom("block").id, int(sim.mj_model.sensor("contact").adr[0])
   sim.contacts(0)
   scatter(sim)
@@ -61,7 +61,7 @@ def test_contacts_are_what_the_engines_own_contact_sensor_says(sim: Simulation) 
       rows = (contacts["geom"] == block).any(axis=1)
       assert rows.sum() == len(sensed)
       seen += len(sensed)
-      # The sensor tells of the block's contacts with the floor, which is geom 2 of the pair: its normal is turned.
+      # The floor is geom 2 of the sensor's pair: its normal is turned.
       order = np.lexsort(np.round(sensed[:, 4:7], 5).T)
       np.testing.assert_array_equal(contacts["pos"][rows], sensed[order, 4:7])
       np.testing.assert_array_equal(contacts["normal"][rows], -sensed[order, 7:10])
@@ -70,7 +70,7 @@ def test_contacts_are_what_the_engines_own_contact_sensor_says(sim: Simulation) 
   assert seen > 100
 
 
-def test_they_are_those_of_mujoco_c_in_the_state_before_the_step(sim: Simulation, engine: str) -> None:
+def test_contacts_are_those_of_mujoco_c_in_the_state_before_the_step(sim: Simulation, engine: str) -> None:
   sim.expand_model_fields(["geom_friction", "body_mass"])
   sim.model.geom_friction[2] *= 0.3
   sim.model.body_mass[3] *= 1.5
@@ -107,7 +107,7 @@ def test_they_are_those_of_mujoco_c_in_the_state_before_the_step(sim: Simulation
     if exact:
       for name, values in expected.items():
         np.testing.assert_array_equal(contacts[name], values, err_msg=name)
-      # What they add up to in the joints is the engine's own number, bit for bit.
+      # Their sum in the joints is that of the engine, bit for bit.
       np.testing.assert_array_equal(data.qfrc_constraint, sim.data.qfrc_constraint[world].numpy())
       continue
     np.testing.assert_array_equal(contacts["geom"], expected["geom"])
@@ -171,7 +171,7 @@ def test_a_world_that_was_reset_has_no_contacts_and_the_others_keep_theirs(sim: 
     sim.step()
   before = [found(sim.contacts(world)) for world in range(NUM_WORLDS)]
   sim.reset(torch.tensor([False, True, False, False]))
-  # Derived quantities are computed anew; contacts belong to the substep just done.
+  # Derived quantities are computed again; contacts belong to the substep just done.
   _ = sim.data.xpos
   for world in range(NUM_WORLDS):
     after = found(sim.contacts(world))
@@ -240,7 +240,6 @@ CONVEX = """
 @pytest.mark.warp
 @pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
 def test_forces_of_mujoco_warp_are_those_of_mujoco_c_where_the_contacts_are(make_sim: MakeSim, cone: str) -> None:
-  """Class: a difference to MuJoCo C that is taken for MuJoCo Warp's collision and is our reading of it."""
   # MuJoCo Warp is given the contacts: of geoms that collide it would only compile the kernels.
   sim = make_sim("warp", 1, CONVEX.format(cone=cone, collides=0), integrator="implicitfast", capture=False)
   engine: Any = sim._engine

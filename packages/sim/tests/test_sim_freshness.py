@@ -1,4 +1,4 @@
-"""Nothing that is read is stale, whoever wrote whatever it follows from, and nothing is computed twice."""
+"""Derived quantities are never stale and never computed twice."""
 
 from collections.abc import Callable, Mapping
 
@@ -159,7 +159,7 @@ def test_a_write_in_one_world_leaves_the_others_bit_identical(sim: Simulation) -
   assert not torch.equal(sim.data.xpos[2], before["xpos"][2])
 
 
-def test_what_a_world_does_does_not_depend_on_its_neighbours(make_sim: MakeSim, engine: str) -> None:
+def test_a_world_does_not_depend_on_its_neighbours(make_sim: MakeSim, engine: str) -> None:
   together, alone = make_sim(engine), make_sim(engine)
   for sim in (together, alone):
     scatter(sim)
@@ -234,7 +234,7 @@ def test_a_shared_write_is_seen_through_the_expansion_that_follows(sim: Simulati
   torch.testing.assert_close(sim.data.site_xpos[:, 2, 2] - height, torch.tensor([0.1, 0.2, 0.1, 0.1], dtype=sim.dtype))
 
 
-def test_a_write_to_what_a_field_was_before_its_expansion_is_an_error_by_name(sim: Simulation) -> None:
+def test_a_write_to_a_field_from_before_its_expansion_is_an_error(sim: Simulation) -> None:
   mass, gravity = sim.model.body_mass, sim.model.opt.gravity
   part = mass[:, 1:3]
   sim.expand_model_fields(["body_mass"])
@@ -260,7 +260,7 @@ def test_rays_see_geoms_where_the_written_state_puts_them(make_sim: MakeSim, eng
   assert caster.cast(origin, down).distance.item() == pytest.approx(1.3005, abs=1e-5)
 
 
-def test_the_native_engine_computes_the_worlds_alone_whose_model_was_written(make_sim: MakeSim) -> None:
+def test_the_native_engine_computes_only_worlds_whose_model_was_written(make_sim: MakeSim) -> None:
   def kept() -> list[bool]:
     """Worlds in which an output is still what the test wrote there."""
     marks = (sim.data.xpos[:, 1] == 7.0).all(1).tolist()

@@ -1,4 +1,4 @@
-"""Buffers that size themselves: they grow before anything is lost, and nothing else changes."""
+"""Growing buffers: no contact is lost, and nothing else changes."""
 
 import re
 
@@ -93,7 +93,7 @@ def test_a_recorded_step_is_recorded_again_with_more_room() -> None:
   graph = sim.capture(sim.step)
   for _ in range(300):
     graph()
-    # What was noted arrives without a wait; here the steps are short.
+    # Marks arrive without a wait; these steps are short.
     torch.cuda.synchronize()
   assert sim.buffer_sizes == {"nconmax": 64, "njmax": 64}
   assert graph.num_graphs == 1

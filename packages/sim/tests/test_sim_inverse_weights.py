@@ -182,7 +182,6 @@ def test_threads_that_share_a_world_come_to_the_same_bits_as_one_alone(
 
 @MODELS
 def test_a_row_of_the_inertia_matrix_begins_like_the_rows_of_its_columns(xml: str) -> None:
-  """On which all of the arithmetic rests."""
   model = mujoco.MjModel.from_xml_string(xml)
   rows = [model.M_colind[adr : adr + nnz] for adr, nnz in zip(model.M_rowadr, model.M_rownnz, strict=True)]
   for dof, row in enumerate(rows):

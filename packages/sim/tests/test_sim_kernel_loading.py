@@ -108,7 +108,7 @@ def _modules() -> list[wp.Module]:
   return list(user_modules.values())
 
 
-def test_what_a_kernel_breaks_on_is_raised() -> None:
+def test_an_error_of_a_kernel_is_raised() -> None:
   def stage() -> None:
     raise mujoco.FatalError("broken")
 

@@ -1,4 +1,4 @@
-"""Rays among geoms of every type that move, and past everything that moves with where they start."""
+"""Rays among moving geoms of every type, and through the tree of a body."""
 
 import copy
 from collections.abc import Sequence
@@ -111,7 +111,7 @@ def test_rays_pass_through_the_tree_of_a_body_or_through_that_body_alone(sim: Si
   same(hits, tuple(np.concatenate((a[:, :half], b[:, half:]), axis=1) for a, b in zip(past, all_of_it, strict=True)))
 
 
-def test_a_ray_passes_through_all_of_its_robot_however_far_it_must_go(sim: Simulation) -> None:
+def test_a_ray_passes_through_all_geoms_of_its_robot(sim: Simulation) -> None:
   trunk = sim.mj_model.body("trunk").id
   caster = sim.make_ray_caster(NUM_RAYS, bodyexclude=trunk, exclude_trees=True, max_distance=0.8)
   hits = caster.cast(*rays(sim))
@@ -120,7 +120,7 @@ def test_a_ray_passes_through_all_of_its_robot_however_far_it_must_go(sim: Simul
   assert (expected[0] > 0.8).any()
 
 
-def test_rays_that_need_not_tell_their_geom_see_the_same(sim: Simulation) -> None:
+def test_rays_without_geoms_hit_the_same(sim: Simulation) -> None:
   leg = sim.mj_model.body("leg1").id
   for max_distance in (np.inf, 0.8):
     hits = [
@@ -133,7 +133,7 @@ def test_rays_that_need_not_tell_their_geom_see_the_same(sim: Simulation) -> Non
     torch.testing.assert_close(hits[1].normal, hits[0].normal, rtol=0, atol=1e-5)
 
 
-def test_a_world_that_was_given_another_mesh_sees_that(sim: Simulation) -> None:
+def test_rays_see_another_mesh_in_one_world(sim: Simulation) -> None:
   model = without(sim.mj_model, "trunk", "leg-1", "leg1")
   geom, big = model.geom("mesh").id, model.mesh("big star").id
   caster = sim.make_ray_caster(NUM_RAYS, bodyexclude=model.body("trunk").id, exclude_trees=True)

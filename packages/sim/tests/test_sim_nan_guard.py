@@ -43,7 +43,7 @@ def only_dump(guard: NanGuard, folder: Path) -> NanDump:
 
 
 @pytest.mark.parametrize("on_host", [True, False], ids=["as on a CPU", "as on a GPU"])
-def test_a_dump_holds_the_states_that_led_there_and_names_what_was_first(
+def test_a_dump_holds_the_last_states_and_names_the_first_bad_number(
   sim: Simulation, tmp_path: Path, *, on_host: bool
 ) -> None:
   scatter(sim)
@@ -110,7 +110,7 @@ def test_a_replay_uses_the_worlds_own_model_fields(make_sim: MakeSim, tmp_path: 
   assert world.replay().error < 1e-12
 
 
-def test_what_is_from_before_a_reset_is_left_out(make_sim: MakeSim, tmp_path: Path) -> None:
+def test_states_before_a_reset_are_left_out(make_sim: MakeSim, tmp_path: Path) -> None:
   sim = make_sim()
   guard = make_guard(sim, tmp_path)
   only = torch.tensor([False, True, False, False])

@@ -1,4 +1,4 @@
-"""What a simulation can be asked for, and how it refuses the rest."""
+"""Options of a simulation, and refusals of wrong ones."""
 
 from collections.abc import Callable
 from typing import Any
@@ -35,14 +35,14 @@ WARP_REFUSALS = [
 
 
 @pytest.mark.parametrize(("options", "reason"), REFUSALS, ids=lambda value: str(value)[:40])
-def test_what_is_wrong_is_refused_by_name_with_the_reason(make_sim: MakeSim, options: dict, reason: str) -> None:
+def test_wrong_options_are_refused_by_name_with_the_reason(make_sim: MakeSim, options: dict, reason: str) -> None:
   with pytest.raises(MjlabError) as refusal:
     make_sim(**options)
   assert reason in str(refusal.value)
 
 
 @pytest.mark.parametrize(("options", "reason"), WARP_REFUSALS, ids=lambda value: str(value)[:40])
-def test_what_mujoco_warp_cannot_do_is_refused_there_alone(make_sim: MakeSim, options: dict, reason: str) -> None:
+def test_options_beyond_mujoco_warp_are_refused_on_it_only(make_sim: MakeSim, options: dict, reason: str) -> None:
   with pytest.raises(MjlabError) as refusal:
     make_sim("warp", **options)
   assert reason in str(refusal.value)
@@ -56,7 +56,7 @@ def test_all_problems_come_in_one_message() -> None:
 
 
 @pytest.mark.parametrize("option", ['integrator="RK4"', 'solver="PGS"'])
-def test_what_mujoco_warp_cannot_do_is_refused_when_the_model_asks_for_it(make_sim: MakeSim, option: str) -> None:
+def test_options_of_the_model_beyond_mujoco_warp_are_refused(make_sim: MakeSim, option: str) -> None:
   spec = f"<mujoco><option {option}/><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
   with pytest.raises(MjlabError, match=option.split('"')[1]):
     make_sim("warp", spec=spec)
@@ -167,7 +167,7 @@ def test_a_closed_simulation_says_that_it_is_closed(sim: Simulation) -> None:
       use()
 
 
-def test_a_diverged_world_stays_its_own_affair(
+def test_a_diverged_world_does_not_affect_the_others(
   make_sim: MakeSim, engine: str, tmp_path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   monkeypatch.chdir(tmp_path)

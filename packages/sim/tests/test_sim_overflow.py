@@ -1,7 +1,4 @@
-"""Buffers that overflow: the demand of the whole run, one line of advice, and room once the advice is followed.
-
-Class of the regression tests: a figure that is read at one moment stands for a whole run.
-"""
+"""Buffers that overflow: the demand of the whole run, one line of advice, and room once the advice is followed."""
 
 import re
 
@@ -98,7 +95,7 @@ PILE = """<mujoco><size memory="20K"/><worldbody><geom type="plane" size="1 1 1"
 )
 
 
-def test_memory_that_ran_out_is_reported_once_whatever_was_reset_since() -> None:
+def test_memory_that_ran_out_is_reported_once_in_spite_of_resets() -> None:
   sim = Simulation(2, mujoco.MjSpec.from_string(PILE), SimulationCfg(num_threads=1))
   for _ in range(3):
     sim.step()

@@ -1,4 +1,4 @@
-"""MuJoCo C, the native engine and MuJoCo Warp say the same of the same state."""
+"""Agreement of MuJoCo C, the native engine and MuJoCo Warp."""
 
 import copy
 import operator
@@ -34,7 +34,7 @@ def acceleration_columns(model: mujoco.MjModel) -> torch.Tensor:
 
 def test_a_step_is_mujocos_with_fresh_positions_and_velocities(sim: Simulation, engine: str) -> None:
   scatter(sim)
-  for _ in range(3):  # Contacts and warm starts of their own.
+  for _ in range(3):  # Contacts and warm starts.
     sim.step()
   before = [reference(sim, world) for world in range(NUM_WORLDS)]
   sim.step()
@@ -103,7 +103,7 @@ def test_model_fields_have_the_same_names_shapes_and_values_on_both_engines(make
       close(default, native.model[name], 1e-6, name)
 
 
-def test_a_masked_reset_restores_the_models_state_and_touches_nobody_else(make_sim: MakeSim, engine: str) -> None:
+def test_a_masked_reset_restores_the_models_state_and_touches_no_other_world(make_sim: MakeSim, engine: str) -> None:
   sim, fresh = make_sim(engine), make_sim(engine)
   scatter(sim)
   for _ in range(2):
@@ -158,7 +158,7 @@ def changed_model(sim: Simulation, world: int) -> mujoco.MjModel:
   return model
 
 
-def test_model_fields_of_each_world_act_as_in_a_model_of_its_own(sim: Simulation, engine: str) -> None:
+def test_model_fields_of_each_world_act_as_in_a_separate_model(sim: Simulation, engine: str) -> None:
   expand_and_change(sim)
   sim.reset()
   scatter(sim, seed=2)
@@ -185,7 +185,7 @@ def test_model_fields_of_each_world_act_as_in_a_model_of_its_own(sim: Simulation
   assert sim.data.qpos[3, 21].item() == pytest.approx(0.3)
 
 
-def test_what_follows_from_where_bodies_are_is_derived_per_world(sim: Simulation) -> None:
+def test_constants_that_follow_from_poses_of_bodies_are_derived_per_world(sim: Simulation) -> None:
   sim.expand_model_fields(["body_pos", "cam_pos"])
   worlds = torch.arange(NUM_WORLDS, dtype=sim.dtype)
   pendulum, upper = (sim.mj_model.body(name).id for name in ("pendulum", "upper"))
@@ -256,7 +256,7 @@ def test_defaults_can_be_those_of_each_world(sim: Simulation) -> None:
   assert default[:, 3].tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
-def test_one_world_recomputes_what_follows_from_any_field(make_sim: MakeSim, engine: str) -> None:
+def test_a_single_world_recomputes_all_constants(make_sim: MakeSim, engine: str) -> None:
   sim = make_sim(engine, num_envs=1)
   sim.expand_model_fields(["geom_size"])
   sim.model.body_mass[:, 3] = 5.0
@@ -277,7 +277,7 @@ def test_geoms_that_never_move_are_where_each_world_puts_them(sim: Simulation) -
   sim.reset()
   for _ in range(120):
     sim.step()
-  # The ball fell onto the floor of its own world.
+  # The ball fell onto the floor of the same world.
   torch.testing.assert_close(sim.data.geom_xpos[:, floor, 2], -depth)
   torch.testing.assert_close(sim.data.qpos[:, 2], 0.1 - depth, rtol=0.0, atol=0.005)
 
@@ -286,7 +286,7 @@ def test_recomputing_constants_leaves_state_and_forces_alone(make_sim: MakeSim, 
   sim, other = make_sim(engine), make_sim(engine)
   for s in (sim, other):
     s.expand_model_fields(["body_mass"])
-    # What is derived in single precision is not, to the last bit, what MuJoCo's compiler derived.
+    # Constants in single precision differ from those of MuJoCo's compiler in the last bit.
     s.recompute_constants()
     scatter(s)
     for _ in range(3):

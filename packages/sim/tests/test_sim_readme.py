@@ -8,7 +8,7 @@ def test_the_examples_of_the_readme_run(run_readme: Callable[[], object]) -> Non
   run_readme()
 
 
-def test_a_simple_body_that_is_changed_says_what_to_do(make_sim) -> None:
+def test_changing_a_simple_body_is_refused_with_the_way_out(make_sim) -> None:
   spec = "<mujoco><worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
   sim = make_sim(spec=spec)
   sim.expand_model_fields(["body_ipos"])

@@ -1,4 +1,4 @@
-"""Images: each world's own, in fixed memory, drawn where they are asked for."""
+"""Images of every world in fixed memory, drawn in the worlds of a mask."""
 
 from typing import Any
 
@@ -28,7 +28,6 @@ def test_worlds_outside_the_mask_keep_their_images(sim: Simulation) -> None:
     assert torch.equal(drawn[~mask], before[~mask])
   for drawn, expected in zip(clones(renderer.render()), now, strict=True):
     assert torch.equal(drawn, expected)
-  # Masked once does not mean masked for good, and the other way round.
   sim.data.qpos[:, 2] += 0.3
   later = clones(reference.render())
   for drawn, before, expected in zip(clones(renderer.render(~mask)), now, later, strict=True):
@@ -58,7 +57,7 @@ def test_both_engines_draw_the_same(make_sim: MakeSim) -> None:
     ((0, 6, 4, ("deph",)), "renderer: data_types 'deph' does not exist. Nearest: depth"),
   ],
 )
-def test_a_view_that_there_is_not_is_refused(make_sim: MakeSim, arguments: Any, message: str) -> None:
+def test_a_view_that_does_not_fit_is_refused(make_sim: MakeSim, arguments: Any, message: str) -> None:
   with pytest.raises(MjlabError, match=message):
     make_sim("native").make_renderer(*arguments)
 

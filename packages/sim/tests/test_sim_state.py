@@ -1,4 +1,4 @@
-"""Saved and loaded, a simulation goes on as if nothing had happened."""
+"""Saved and loaded states of a simulation."""
 
 import pytest
 import torch
@@ -42,7 +42,7 @@ def heavier(sim: Simulation) -> None:
   sim.recompute_constants()
 
 
-def test_what_all_worlds_share_is_saved_where_it_is_not_as_compiled(make_sim: MakeSim, engine: str) -> None:
+def test_shared_fields_are_saved_where_they_are_not_as_compiled(make_sim: MakeSim, engine: str) -> None:
   sim, other, plain = (make_sim(engine) for _ in range(3))
   heavier(sim)
   untouched = plain.state_dict()
@@ -72,7 +72,7 @@ BUNCH = """
 </mujoco>""".format("".join(f'<geom size=".02" pos="{0.1 * i} 0 0"/>' for i in range(-2, 3)))
 
 
-def test_what_an_engine_derives_from_saved_fields_and_keeps_to_itself_is_that_of_the_saved_model(make_sim) -> None:
+def test_internal_constants_of_an_engine_follow_a_loaded_model(make_sim) -> None:
   """MuJoCo looks for contacts of bodies with many geoms in a tree of boxes, which follow from the sizes of geoms."""
   sim, other = (make_sim(spec=BUNCH) for _ in range(2))
   sim.expand_model_fields(["geom_size"])
@@ -85,7 +85,7 @@ def test_what_an_engine_derives_from_saved_fields_and_keeps_to_itself_is_that_of
   assert torch.equal(sim.data.qpos, other.data.qpos)
 
 
-def test_what_is_saved_does_not_change_any_more(make_sim: MakeSim, engine: str) -> None:
+def test_a_saved_state_does_not_change(make_sim: MakeSim, engine: str) -> None:
   sim = randomised(make_sim, engine)
   saved = sim.state_dict()
   kept = {name: value.clone() for name, value in saved["data"].items()}

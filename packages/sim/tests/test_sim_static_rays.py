@@ -1,4 +1,4 @@
-"""Ground that is looked up in a tree: the same hits as MuJoCo's search of every geom, while it stands still."""
+"""Rays on fixed ground in a tree: the same hits as MuJoCo's search of every geom."""
 
 import copy
 from typing import Any
@@ -89,14 +89,14 @@ def test_rays_see_the_ground_as_mujoco_does(sim: Simulation, geomid: bool, group
     assert seen >= {"canopy", "ball", "rock", "pole", "floor", "field0", "field1", "box0"}
 
 
-def test_every_ray_may_look_through_a_body_of_its_own(sim: Simulation) -> None:
+def test_each_ray_may_exclude_another_body(sim: Simulation) -> None:
   origins, directions = random_rays(sim, seed=2)
   exclude = np.tile([-1, sim.mj_model.body("ball").id, sim.mj_model.body("terrain").id], NUM_RAYS // 3)
   hits = sim.make_ray_caster(NUM_RAYS, bodyexclude=exclude.tolist()).cast(origins, directions)
   check(hits, mujoco_rays(sim, origins, directions, exclude=exclude))
 
 
-def test_what_is_too_far_is_a_miss(sim: Simulation) -> None:
+def test_hits_that_are_too_far_are_misses(sim: Simulation) -> None:
   origins, directions = random_rays(sim, seed=3)
   expected = mujoco_rays(sim, origins, directions)
   for geomid in (True, False):

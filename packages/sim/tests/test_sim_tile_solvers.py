@@ -1,4 +1,4 @@
-"""What tile kernels are linked with is made by other processes, or here where those cannot. Compiling needs no GPU."""
+"""Solvers of tile kernels, made by other processes or in this one. Compiling needs no GPU."""
 
 import sys
 from pathlib import Path
