@@ -1,5 +1,6 @@
 """Sensors that MuJoCo computes: equal to MuJoCo's own, fresh, and checked by name."""
 
+from pathlib import Path
 from typing import Any, get_args
 
 import mujoco
@@ -12,6 +13,7 @@ from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
 from sensor_scenes import simulate, with_robot
 
+README = Path(__file__).parents[1] / "README.md"
 ROBOT = """
 <mujoco>
   <default><geom contype="0" conaffinity="0"/></default>
@@ -144,23 +146,26 @@ def test_every_sensor_type_equals_the_same_sensor_in_mjcf(engine: Any) -> None:
     assert expected.any(), f"{kind} reads nothing, which would tell nothing"
 
 
-def test_the_table_has_every_type_of_mujoco_and_is_right_about_each() -> None:
+def test_the_table_has_every_type_of_mujoco_and_the_readme_shows_it() -> None:
   assert {kind.enum for kind in NATIVE_TYPES.values()} == set(mujoco.mjtSensor.__members__.values())
   assert len(NATIVE_TYPES) == len(mujoco.mjtSensor.__members__)
   declared = set(get_args(SensorType))
   assert declared == {name for name, *_ in OBJECTS}
   assert set(NATIVE_TYPES) - declared == {"contact", "plugin", "user"}
-  stages = {"position": "POS", "velocity": "VEL", "acceleration": "ACC"}
-  sim, sensors = build(
-    *[BuiltinSensorCfg(sensor_type=name, obj=obj, ref=relative) for name, obj, relative, _ in OBJECTS]
-  )
-  model = sim.mj_model
-  for sensor, (name, *_) in zip(sensors, OBJECTS, strict=True):
-    kind, index = NATIVE_TYPES[name], model.sensor(sensor.name).id
-    assert model.sensor_type[index] == kind.enum
-    assert model.sensor_needstage[index] == getattr(mujoco.mjtStage, f"mjSTAGE_{stages[kind.stage]}"), name
-    if kind.dim is not None:
-      assert model.sensor_dim[index] == kind.dim, name
+  sim, _ = build(*[BuiltinSensorCfg(sensor_type=name, obj=obj, ref=relative) for name, obj, relative, _ in OBJECTS])
+  model, stages = sim.mj_model, ("none", "position", "velocity", "acceleration")
+  compiled = {
+    model.sensor_type[i]: (model.sensor_dim[i], stages[model.sensor_needstage[i]]) for i in range(model.nsensor)
+  }
+  rows = ["| type | attached to | relative to | numbers | frame | unit | stage |", "|---|---|---|---|---|---|---|"]
+  for name, kind in NATIVE_TYPES.items():
+    how = "" if name in declared else " (ContactSensorCfg)" if name == "contact" else " (MJCF only)"
+    relative = ", ".join(kind.references) + (" (needed)" if kind.needs_reference else "")
+    numbers, stage = compiled.get(kind.enum, ("settings", "acceleration"))
+    numbers = "settings" if name in ("rangefinder", "tactile") else numbers
+    cells = f"`{name}`{how}", ", ".join(kind.objects), relative, numbers, kind.frame, kind.unit, stage
+    rows.append(f"| {' | '.join(str(cell) or '-' for cell in cells)} |")
+  assert "\n".join(rows) in README.read_text(), "\n".join(rows)
 
 
 def test_readings_turn_with_the_world_as_their_frame_says() -> None:

@@ -37,32 +37,27 @@ class _Ring(Stateful):
 
     `x` broadcasts to (num_envs, *shape). The other worlds stay bit-identical.
     """
-    self._replace_newest(mask, x)
-    where_(self._born, mask, self._tick)
+    self._restart(mask, x, self._tick)
 
   def reset(self, mask: Tensor) -> None:
-    """Forget the frames of the worlds in `mask`, bool (num_envs,).
+    """Forget the frames of the worlds in `mask`, bool (num_envs,); the others are unchanged.
 
     They read zero until their next frame, which then fills their whole past.
     """
-    self._replace_newest(mask, 0.0)
-    where_(self._born, mask, self._tick + 1)
+    self._restart(mask, 0.0, self._tick + 1)
 
   def refill(self, mask: Tensor) -> None:
     self.reset(mask)
 
-  def _replace_newest(self, mask: Tensor, x: Tensor | float) -> None:
+  def _restart(self, mask: Tensor, x: Tensor | float, born: Tensor) -> None:
     slot = self._tick % self.length
     self._frames[self._worlds, slot] = where_(self._frames[self._worlds, slot], mask, x)
+    where_(self._born, mask, born)
 
   def append(self, x: Tensor) -> None:
     """Add the newest frame, (num_envs, *shape); the oldest is dropped."""
     self._tick.add_(1)
     self._frames[self._worlds, self._tick % self.length] = x.to(self.dtype)
-
-  def _at(self, ticks: Tensor) -> Tensor:
-    """Return the frames of one moment per world, (num_envs, *shape), in new memory."""
-    return self._frames[self._worlds, ticks % self.length]
 
 
 class HistoryBuffer(_Ring):
@@ -100,9 +95,9 @@ class HistoryBuffer(_Ring):
 class DelayBuffer(_Ring):
   """Delay line that serves frames `lag` pushes late, with a lag in [min_lag, max_lag] per world.
 
-  A lag is drawn at build, at a world's reset, and at pushes: at every push, or every `update_period` pushes if that is
-  positive (each world in its own phase). A draw keeps the old lag with probability `hold_prob`. A world younger than
-  its lag serves its first frame. With min_lag == max_lag no random number is drawn.
+  A lag is drawn at build, at `reset` and `fill` of a world, and at pushes: at every push, or every `update_period`
+  pushes if that is positive (each world in its own phase). A draw keeps the old lag with probability `hold_prob`. A
+  world younger than its lag serves its first frame. With min_lag == max_lag no random number is drawn.
 
   Args:
     min_lag: smallest lag [pushes], at least 0.
@@ -163,20 +158,7 @@ class DelayBuffer(_Ring):
     if self._varies:
       self._advance_lags()
     self.append(x)
-    return self._at(torch.maximum(self._tick - self._lag, self._born))
-
-  def reset(self, mask: Tensor) -> None:
-    """Forget the frames of the worlds in `mask`, bool (num_envs,), and draw their lags; the others are unchanged."""
-    super().reset(mask)
-    self._restart(mask)
-
-  def fill(self, mask: Tensor, x: Tensor | float) -> None:
-    """Make `x` the whole past of the worlds in `mask`, bool (num_envs,), and draw their lags.
-
-    `x` broadcasts to (num_envs, *shape). The other worlds stay bit-identical.
-    """
-    super().fill(mask, x)
-    self._restart(mask)
+    return self._frames[self._worlds, torch.maximum(self._tick - self._lag, self._born) % self.length]
 
   def pin(self, mask: Tensor, lag: Tensor | int) -> None:
     """Set the lags of the worlds in `mask`, bool (num_envs,), and keep them through draws and resets.
@@ -190,7 +172,8 @@ class DelayBuffer(_Ring):
     where_(self._pinned, mask, lag)
     where_(self._lag, mask, lag)
 
-  def _restart(self, mask: Tensor) -> None:
+  def _restart(self, mask: Tensor, x: Tensor | float, born: Tensor) -> None:
+    super()._restart(mask, x, born)
     if self._varies and self._per_env:
       where_(self._lag, mask, self._draw_lags())
       if self.update_period > 0:
@@ -198,29 +181,25 @@ class DelayBuffer(_Ring):
 
   def _advance_lags(self) -> None:
     lags = self._draw_lags()
-    if self.update_period == 0 and self.hold_prob == 0.0:
-      self._lag.copy_(lags)
-      return
-    due = None
+    if self.hold_prob > 0.0:
+      holds = torch.rand(self._draws, generator=self._generator, device=self.device) < self.hold_prob
+      lags = torch.where(holds, self._lag, lags)
     if self.update_period > 0:
       self._until_draw.sub_(1)
       due = self._until_draw <= 0
       self._until_draw.masked_fill_(due, self.update_period)
-    if self.hold_prob > 0.0:
-      moves = torch.rand(self._draws, generator=self._generator, device=self.device) >= self.hold_prob
-      due = moves if due is None else due & moves
-    assert due is not None
-    where_(self._lag, due, lags)
+      where_(self._lag, due, lags)
+    else:
+      self._lag.copy_(lags)
 
   def _draw_lags(self) -> Tensor:
-    lags = torch.randint(
-      self.min_lag, self.max_lag + 1, self._draws, generator=self._generator, device=self.device, dtype=torch.int64
-    )
+    lags = self._draw(self.min_lag, self.max_lag)
     return lags if self._pinned is None else torch.where(self._pinned >= 0, self._pinned, lags)
 
   def _draw_phases(self) -> Tensor:
     if self.update_period == 0 or not (self._per_env and self._per_env_phase):
       return torch.full_like(self._until_draw, self.update_period + 1)
-    return torch.randint(
-      1, self.update_period + 1, self._draws, generator=self._generator, device=self.device, dtype=torch.int64
-    )
+    return self._draw(1, self.update_period)
+
+  def _draw(self, lo: int, hi: int) -> Tensor:
+    return torch.randint(lo, hi + 1, self._draws, generator=self._generator, device=self.device, dtype=torch.int64)

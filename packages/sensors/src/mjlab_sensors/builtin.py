@@ -146,11 +146,8 @@ class BuiltinSensorCfg(SensorCfg):
       takes = f"takes a {kinds}" if allowed else "takes none"
       yield f"a {self.sensor_type} sensor {takes} as `{field}`, not {ref.type} {ref.name!r}"
 
-  def _make(self, name: str) -> BuiltinSensor:
-    return BuiltinSensor(name, self)
 
-
-class BuiltinSensor(Sensor[torch.Tensor]):
+class BuiltinSensor(Sensor[torch.Tensor], cfg=BuiltinSensorCfg):
   """Sensor computed by MuJoCo; `data` are its columns of the simulation's sensordata, (num_envs, dim).
 
   Frame and unit of each type are in `NATIVE_TYPES`. Noise and delay belong to the observation manager. Readings that
@@ -203,7 +200,8 @@ class BuiltinSensor(Sensor[torch.Tensor]):
     place, turn = (getattr(sim.data, field)[worlds, int(model.sensor_objid[index])] for field in pose)
     draw.frames(place, quat_from_matrix(turn), 3.0 * self._draw_size)
     kind = next(kind for kind in NATIVE_TYPES.values() if kind.enum.value == model.sensor_type[index])
-    has_direction = kind.dim == 3 and kind.unit != "m" and kind.frame in ("own", "world", "reference")
+    is_declared = kind.name in get_args(SensorType)
+    has_direction = is_declared and self.dim == 3 and kind.unit != "m"
     if not has_direction or (kind.frame == "reference" and model.sensor_refid[index] >= 0):
       return
     vector = self._columns[worlds]

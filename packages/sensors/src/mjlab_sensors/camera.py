@@ -83,9 +83,6 @@ class CameraSensorCfg(SensorCfg):
     if not any(self.quat):
       yield "quat must not be zero"
 
-  def _make(self, name: str) -> CameraSensor:
-    return CameraSensor(name, self)
-
 
 @dataclass(kw_only=True)
 class CameraData:
@@ -118,7 +115,7 @@ class CameraData:
     return quat_from_matrix(self.mat_w)
 
 
-class CameraSensor(Sensor[CameraData]):
+class CameraSensor(Sensor[CameraData], cfg=CameraSensorCfg):
   """Images of one camera in all worlds, drawn together by MuJoCo Warp's renderer, on a CPU too.
 
   They are drawn when the data are first read after a change of state, in the worlds that are due. Textures, colours,

@@ -71,9 +71,6 @@ class ContactSensorCfg(SensorCfg):
     if self.history_length and "force" not in self.fields:
       yield f"history_length keeps the force; add 'force' to fields {self.fields}"
 
-  def _make(self, name: str) -> ContactSensor:
-    return ContactSensor(name, self)
-
 
 @dataclass(kw_only=True)
 class ContactData:
@@ -116,7 +113,7 @@ class ContactData:
   (num_envs, num_contacts, history_length, 3) [N]."""
 
 
-class ContactSensor(Sensor[ContactData]):
+class ContactSensor(Sensor[ContactData], cfg=ContactSensorCfg):
   """Contacts of several primaries with all other elements, or with each of several secondaries.
 
   Each pair is one native MuJoCo contact sensor with all fields, and these lie side by side in sensordata, so that the

@@ -59,9 +59,6 @@ class ImuSensorCfg(SensorCfg):
     if self.site.type != "site":
       yield f"site must be a site, got {self.site.type} {self.site.name!r}"
 
-  def _make(self, name: str) -> ImuSensor:
-    return ImuSensor(name, self)
-
 
 @dataclass(kw_only=True)
 class ImuData:
@@ -78,7 +75,7 @@ class ImuData:
   """Unit vector that points down according to `orientation`, in the axes of the site, (num_envs, 3)."""
 
 
-class ImuSensor(Sensor[ImuData]):
+class ImuSensor(Sensor[ImuData], cfg=ImuSensorCfg):
   """Gyro, accelerometer and orientation of a site, each with a bias."""
 
   cfg: ImuSensorCfg

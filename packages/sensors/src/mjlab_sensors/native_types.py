@@ -17,8 +17,6 @@ ReadingFrame = Literal["scalar", "own", "reference", "world", "image"]
 - "image": columns and rows of a camera's image, from its top left corner.
 """
 
-Stage = Literal["position", "velocity", "acceleration"]
-
 
 @dataclass(frozen=True)
 class NativeType:
@@ -30,12 +28,8 @@ class NativeType:
   """Kinds of elements it can be attached to; none for a sensor of the whole world."""
   unit: str = ""
   """Unit of a reading; empty for a pure number."""
-  stage: Stage = "position"
-  """Stage in which MuJoCo computes it. Readings of the acceleration stage are those of the substep just done."""
   frame: ReadingFrame = "scalar"
   """Frame of the components."""
-  dim: int | None = 1
-  """Numbers of a reading; None where that depends on the sensor's settings."""
   references: tuple[str, ...] = ()
   """Kinds of elements it can be measured relative to."""
   needs_reference: bool = False
@@ -60,63 +54,55 @@ _FRAMES, _SHAPES = ("body", "xbody", "geom", "site", "camera"), ("geom", "body")
 _ANGLE, _RATE, _EFFORT = "rad or m", "rad/s or m/s", "N m or N"
 
 _TYPES = (
-  NativeType("touch", _SITE, "N", "acceleration"),
-  NativeType("accelerometer", _SITE, "m/s^2", "acceleration", "own", 3),
-  NativeType("velocimeter", _SITE, "m/s", "velocity", "own", 3),
-  NativeType("gyro", _SITE, "rad/s", "velocity", "own", 3),
-  NativeType("force", _SITE, "N", "acceleration", "own", 3),
-  NativeType("torque", _SITE, "N m", "acceleration", "own", 3),
-  NativeType("magnetometer", _SITE, "T", "position", "own", 3),
-  NativeType("rangefinder", ("site", "camera"), "m", "position", "world", None),
-  NativeType("camprojection", _SITE, "pixel", "position", "image", 2, ("camera",), needs_reference=True),
+  NativeType("touch", _SITE, "N"),
+  NativeType("accelerometer", _SITE, "m/s^2", "own"),
+  NativeType("velocimeter", _SITE, "m/s", "own"),
+  NativeType("gyro", _SITE, "rad/s", "own"),
+  NativeType("force", _SITE, "N", "own"),
+  NativeType("torque", _SITE, "N m", "own"),
+  NativeType("magnetometer", _SITE, "T", "own"),
+  NativeType("rangefinder", ("site", "camera"), "m", "world"),
+  NativeType("camprojection", _SITE, "pixel", "image", ("camera",), needs_reference=True),
   NativeType("jointpos", _JOINT, _ANGLE),
-  NativeType("jointvel", _JOINT, _RATE, "velocity"),
+  NativeType("jointvel", _JOINT, _RATE),
   NativeType("tendonpos", _TENDON, _ANGLE),
-  NativeType("tendonvel", _TENDON, _RATE, "velocity"),
+  NativeType("tendonvel", _TENDON, _RATE),
   NativeType("actuatorpos", _ACTUATOR, _ANGLE),
-  NativeType("actuatorvel", _ACTUATOR, _RATE, "velocity"),
-  NativeType("actuatorfrc", _ACTUATOR, _EFFORT, "acceleration"),
-  NativeType("jointactuatorfrc", _JOINT, _EFFORT, "acceleration"),
-  NativeType("tendonactuatorfrc", _TENDON, _EFFORT, "acceleration"),
-  NativeType("ballquat", _JOINT, "", "position", "own", 4),
-  NativeType("ballangvel", _JOINT, "rad/s", "velocity", "own", 3),
+  NativeType("actuatorvel", _ACTUATOR, _RATE),
+  NativeType("actuatorfrc", _ACTUATOR, _EFFORT),
+  NativeType("jointactuatorfrc", _JOINT, _EFFORT),
+  NativeType("tendonactuatorfrc", _TENDON, _EFFORT),
+  NativeType("ballquat", _JOINT, "", "own"),
+  NativeType("ballangvel", _JOINT, "rad/s", "own"),
   NativeType("jointlimitpos", _JOINT, _ANGLE),
-  NativeType("jointlimitvel", _JOINT, _RATE, "velocity"),
-  NativeType("jointlimitfrc", _JOINT, _EFFORT, "acceleration"),
+  NativeType("jointlimitvel", _JOINT, _RATE),
+  NativeType("jointlimitfrc", _JOINT, _EFFORT),
   NativeType("tendonlimitpos", _TENDON, _ANGLE),
-  NativeType("tendonlimitvel", _TENDON, _RATE, "velocity"),
-  NativeType("tendonlimitfrc", _TENDON, _EFFORT, "acceleration"),
-  NativeType("framepos", _FRAMES, "m", "position", "reference", 3, _FRAMES),
-  NativeType("framequat", _FRAMES, "", "position", "reference", 4, _FRAMES),
-  NativeType("framexaxis", _FRAMES, "", "position", "reference", 3, _FRAMES),
-  NativeType("frameyaxis", _FRAMES, "", "position", "reference", 3, _FRAMES),
-  NativeType("framezaxis", _FRAMES, "", "position", "reference", 3, _FRAMES),
-  NativeType("framelinvel", _FRAMES, "m/s", "velocity", "reference", 3, _FRAMES),
-  NativeType("frameangvel", _FRAMES, "rad/s", "velocity", "reference", 3, _FRAMES),
-  NativeType("framelinacc", _FRAMES, "m/s^2", "acceleration", "world", 3),
-  NativeType("frameangacc", _FRAMES, "rad/s^2", "acceleration", "world", 3),
-  NativeType("subtreecom", ("body",), "m", "position", "world", 3),
-  NativeType("subtreelinvel", ("body",), "m/s", "velocity", "world", 3),
-  NativeType("subtreeangmom", ("body",), "kg m^2/s", "velocity", "world", 3),
+  NativeType("tendonlimitvel", _TENDON, _RATE),
+  NativeType("tendonlimitfrc", _TENDON, _EFFORT),
+  NativeType("framepos", _FRAMES, "m", "reference", _FRAMES),
+  NativeType("framequat", _FRAMES, "", "reference", _FRAMES),
+  NativeType("framexaxis", _FRAMES, "", "reference", _FRAMES),
+  NativeType("frameyaxis", _FRAMES, "", "reference", _FRAMES),
+  NativeType("framezaxis", _FRAMES, "", "reference", _FRAMES),
+  NativeType("framelinvel", _FRAMES, "m/s", "reference", _FRAMES),
+  NativeType("frameangvel", _FRAMES, "rad/s", "reference", _FRAMES),
+  NativeType("framelinacc", _FRAMES, "m/s^2", "world"),
+  NativeType("frameangacc", _FRAMES, "rad/s^2", "world"),
+  NativeType("subtreecom", ("body",), "m", "world"),
+  NativeType("subtreelinvel", ("body",), "m/s", "world"),
+  NativeType("subtreeangmom", ("body",), "kg m^2/s", "world"),
   NativeType("insidesite", _FRAMES, "1, or m if enclosed", references=_SITE, needs_reference=True),
   NativeType("distance", _SHAPES, "m", references=_SHAPES, needs_reference=True),
-  NativeType("normal", _SHAPES, "", "position", "world", 3, _SHAPES, needs_reference=True),
-  NativeType("fromto", _SHAPES, "m", "position", "world", 6, _SHAPES, needs_reference=True),
-  NativeType(
-    "contact",
-    ("geom", "body", "xbody", "site"),
-    "N, N m and m",
-    "acceleration",
-    "own",
-    None,
-    ("geom", "body", "xbody"),
-  ),
+  NativeType("normal", _SHAPES, "", "world", _SHAPES, needs_reference=True),
+  NativeType("fromto", _SHAPES, "m", "world", _SHAPES, needs_reference=True),
+  NativeType("contact", ("geom", "body", "xbody", "site"), "N, N m and m", "own", ("geom", "body", "xbody")),
   NativeType("e_potential", unit="J"),
   NativeType("e_kinetic", unit="J"),
   NativeType("clock", unit="s"),
-  NativeType("tactile", ("mesh",), "m and m/s", "velocity", "own", None, ("geom",), needs_reference=True),
-  NativeType("plugin", (), "the plugin's own", "acceleration", "own", None),
-  NativeType("user", (), "the callback's own", "acceleration", "own", None),
+  NativeType("tactile", ("mesh",), "m and m/s", "own", ("geom",), needs_reference=True),
+  NativeType("plugin", (), "the plugin's own", "own"),
+  NativeType("user", (), "the callback's own", "own"),
 )
 
 NATIVE_TYPES: dict[str, NativeType] = {kind.name: kind for kind in _TYPES}

@@ -22,9 +22,6 @@ class RayCastSensorCfg(RaySensorCfg):
   identify_geoms: bool = False
   """Return the geoms that are hit. This is slower on a CPU with terrain of many geoms."""
 
-  def _make(self, name: str) -> RayCastSensor:
-    return RayCastSensor(name, self)
-
 
 @dataclass(kw_only=True)
 class RayCastData:
@@ -66,7 +63,7 @@ class RayCastData:
     return quat_from_matrix(self.frame_mat_w[:, 0])
 
 
-class RayCastSensor(RaySensor[RayCastData]):
+class RayCastSensor(RaySensor[RayCastData], cfg=RayCastSensorCfg):
   """Casts a pattern of rays from each of its frames. Surfaces are hit from both sides, but planes from above only."""
 
   cfg: RayCastSensorCfg

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Generic, TypeVar
 
 import mujoco
 import torch
@@ -27,9 +27,11 @@ GeomGroups = Annotated[tuple[int, ...] | None, Limits(ge=0, le=mujoco.mjNGROUP -
 
 
 @dataclass(kw_only=True)
-class SensorCfg(Config, ABC):
+class SensorCfg(Config):
   """Configuration of a sensor."""
 
+  sensor_class: ClassVar[type[Sensor[Any]]]
+  """Class of the sensor, which gives itself as `class MySensor(Sensor, cfg=MySensorCfg)`."""
   name: str = ""
   """Name of the sensor in its scene; empty for the name that the scene passes to `build`."""
   debug_vis: bool = False
@@ -65,10 +67,7 @@ class SensorCfg(Config, ABC):
     name = name or self.name
     # A copy, which is checked, so that messages give the name.
     replace(self, name=name)
-    return self._make(name)
-
-  @abstractmethod
-  def _make(self, name: str) -> Sensor[Any]: ...
+    return self.sensor_class(name, self)
 
 
 class Sensor(Stateful, ABC, Generic[T]):
@@ -84,7 +83,12 @@ class Sensor(Stateful, ABC, Generic[T]):
   rng: torch.Generator | None = None
   """Source of randomness on the simulation's device, set before `initialize`; torch's own if None."""
 
-  def __init__(self, name: str, cfg: SensorCfg) -> None:
+  def __init_subclass__(cls, cfg: type[SensorCfg] | None = None) -> None:
+    super().__init_subclass__()
+    if cfg is not None:
+      cfg.sensor_class = cls
+
+  def __init__(self, name: str, cfg: Any) -> None:
     self.name = name
     self.cfg = cfg
     self.num_envs = 0

@@ -39,9 +39,6 @@ class TerrainHeightSensorCfg(RaySensorCfg):
   """Geom groups that count as ground; None for all."""
   exclude_parent_body: bool = False
 
-  def _make(self, name: str) -> TerrainHeightSensor:
-    return TerrainHeightSensor(name, self)
-
 
 @dataclass(kw_only=True)
 class TerrainHeightData:
@@ -54,7 +51,7 @@ class TerrainHeightData:
   """True if a ray of the frame hit ground, or the ray itself without reduction, bool, shaped as `heights`."""
 
 
-class TerrainHeightSensor(RaySensor[TerrainHeightData]):
+class TerrainHeightSensor(RaySensor[TerrainHeightData], cfg=TerrainHeightSensorCfg):
   """Height of frames above the ground: z of the frame less z of the point that a ray hits.
 
   Rays that hit nothing within `max_distance` are left out of the reduction. Above one fixed level plane, rays straight
