@@ -97,28 +97,11 @@ def test_derived_fields_of_a_plain_model_equal_a_recompiled_one(model: mujoco.Mj
   assert not np.array_equal(model.dof_invweight0, untouched["dof_invweight0"])
 
 
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_derived_tensors_of_every_world_equal_a_recompiled_model(model: mujoco.MjModel, dtype: torch.dtype) -> None:
-  before = arrays(model)
-  fields = randomize(model, [body_com_offset("trunk|left", COM)], num_worlds=3, seed=1, dtype=dtype)
-  for name, value in arrays(model).items():
-    np.testing.assert_array_equal(value, before[name], err_msg=name)
-  assert {"dof_invweight0", "body_invweight0", "actuator_acc0", "tendon_invweight0", "cam_poscom0"} <= fields.keys()
-  compiled = recompiled(model)
-  for world in range(3):
-    model.body_ipos[:] = fields["body_ipos"][world].numpy()
-    oracle = recompiled(model)
-    changed = [n for n, a in arrays(oracle).items() if a.dtype == float and not np.allclose(a, getattr(compiled, n))]
-    # The tree of bounding boxes and the sleep scale belong to MuJoCo's own engine.
-    assert set(changed) - {"bvh_aabb", "dof_length"} <= fields.keys()
-    for name, tensor in fields.items():
-      assert tensor.dtype == dtype
-      np.testing.assert_allclose(tensor[world], getattr(oracle, name), rtol=1e-5 if dtype == torch.float32 else 1e-9)
-
-
 def test_tensors_are_drawn_again_in_masked_worlds_in_place(model: mujoco.MjModel) -> None:
   cfgs = [body_com_offset("trunk", COM), geom_friction("left_foot", (0.3, 1.2)), encoder_bias("left_knee", (0.0, 0.1))]
+  compiled = arrays(model)
   fields = randomize(model, cfgs, num_worlds=4, seed=1)
+  assert all(np.array_equal(value, compiled[name]) for name, value in arrays(model).items())
   kept, before = dict(fields), {name: value.clone() for name, value in fields.items()}
   mask = torch.tensor([True, False, True, False])
   for _ in range(3):
@@ -200,22 +183,6 @@ def test_a_seed_repeats_and_none_is_drawn_and_told(model: mujoco.MjModel) -> Non
   assert randomize(mujoco.MjModel.from_xml_string(XML), cfgs).changes() != again.changes()
 
 
-def test_resampling_never_drifts_and_restoring_gives_the_compiled_model_back(model: mujoco.MjModel) -> None:
-  before = arrays(model)
-  cfgs = [geom_friction("left_foot", (0.5, 1.5), operation="scale"), body_com_offset("trunk", COM)]
-  once = randomize(model, cfgs, seed=3)
-  first = once.changes()
-  for _ in range(100):
-    once.resample()
-    assert 0.25 <= model.geom("left_foot").friction[0] <= 0.75
-    assert -0.02 <= model.body("trunk").ipos[0] <= 0.03
-  once.resample(3)
-  assert once.changes() == first
-  once.restore()
-  for name, value in arrays(model).items():
-    np.testing.assert_allclose(value, before[name], rtol=1e-12, atol=1e-15, err_msg=name)
-
-
 def test_several_randomizers_compose_on_axes_and_the_report_tells_before_and_after(model: mujoco.MjModel) -> None:
   cfgs = [
     geom_friction("left_foot", {"sliding": (0.7, 0.7), "rolling": (0.001, 0.001)}),
@@ -290,13 +257,6 @@ def test_what_has_no_kp_and_a_kp_that_cannot_be_are_refused() -> None:
   refused("actuator 'hip' is written by two randomizers", *twice)
 
 
-def test_one_number_written_twice_is_refused_by_name(model: mujoco.MjModel) -> None:
-  with pytest.raises(
-    ValueError, match=r"geom 'left_foot' is written by two randomizers, geom_friction 'left_foot' and"
-  ):
-    randomize(model, [geom_friction("left_foot", (0.3, 1.2)), geom_friction(".*foot", (0.3, 1.2))], seed=0)
-
-
 def test_a_distribution_of_ones_own_works(model: mujoco.MjModel) -> None:
   class Coin:
     def check(self, name: str) -> None: ...
@@ -368,16 +328,6 @@ def test_a_randomizer_that_does_not_fit_the_model_is_refused_before_it_writes(
     randomize(model, [geom_friction("right_foot", (0.3, 1.2)), cfg], seed=0)
   for name, value in arrays(model).items():
     np.testing.assert_array_equal(value, before[name], err_msg=name)
-
-
-def test_friction_that_no_contact_uses_is_refused() -> None:
-  model = mujoco.MjModel.from_xml_string('<mujoco><worldbody><geom name="g" size=".1"/></worldbody></mujoco>')
-  geom_sliding = randomize(model, [geom_friction("g", (0.3, 1.2))], seed=0)
-  assert geom_sliding.changes()[0].before == 1.0
-  with pytest.raises(
-    ValueError, match="torsional of geom 'g' would do nothing, for it needs condim 4, which none of its contacts"
-  ):
-    randomize(model, [geom_friction("g", (0.0, 0.1), axes=(1,))], seed=0)
 
 
 def test_elements_without_a_name_can_still_be_selected(model: mujoco.MjModel) -> None:

@@ -281,13 +281,20 @@ def test_bounds_moved_by_one_draw_keep_their_order(model: mujoco.MjModel) -> Non
   np.testing.assert_allclose(upper - lower, 2.2)
 
 
-def test_what_would_undo_another_randomizer_is_refused(model: mujoco.MjModel) -> None:
-  first = pseudo_inertia("thigh", scale=0.1)
-  for second in (body_mass("thigh", (1.0, 2.0)), FIELD("body_inertia", "thigh", (0.9, 1.1), operation="scale")):
-    with pytest.raises(
-      ValueError, match=r"body 'thigh' is written by two randomizers, pseudo_inertia 'thigh' and body"
-    ):
-      randomize(model, [first, second], seed=0)
+@pytest.mark.parametrize(
+  ("first", "second"),
+  [
+    (pseudo_inertia("thigh", scale=0.1), body_mass("thigh", (1.0, 2.0))),
+    (pseudo_inertia("thigh", scale=0.1), FIELD("body_inertia", "thigh", (0.9, 1.1), operation="scale")),
+    (FIELD("geom_friction", "thigh", (0.3, 1.2), axes=0), FIELD("geom_friction", "th.*", (0.3, 1.2), axes=0)),
+  ],
+)
+def test_a_randomizer_that_would_undo_another_is_refused(
+  model: mujoco.MjModel, first: FieldRandomizer, second: FieldRandomizer
+) -> None:
+  message = rf"'thigh' is written by two randomizers, {re.escape(first.label)} and {second.field} '"
+  with pytest.raises(ValueError, match=message):
+    randomize(model, [first, second], seed=0)
 
 
 def test_randomizers_of_one_number_compose_and_do_not_drift(model: mujoco.MjModel) -> None:

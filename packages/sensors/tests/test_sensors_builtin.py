@@ -107,13 +107,22 @@ def build(*cfgs: BuiltinSensorCfg, elements: str = "", **options: Any) -> tuple[
   return simulate(scene(elements), *cfgs, **options)
 
 
+def each_type(*, relative: bool = True) -> list[BuiltinSensorCfg]:
+  """A sensor of every type; with `relative` False, relative to the world where that is possible."""
+  return [
+    BuiltinSensorCfg(
+      sensor_type=kind,
+      obj=obj,
+      ref=other if relative or NATIVE_TYPES[kind].needs_reference else None,
+      cutoff=CUTOFF.get(kind, 0.0),
+    )
+    for kind, obj, other, _ in OBJECTS
+  ]
+
+
 @pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
 def test_every_sensor_type_equals_the_same_sensor_in_mjcf(engine: Any) -> None:
-  cfgs = [
-    BuiltinSensorCfg(sensor_type=kind, obj=obj, ref=relative, cutoff=CUTOFF.get(kind, 0.0))
-    for kind, obj, relative, _ in OBJECTS
-  ]
-  sim, sensors = build(*cfgs, engine=engine)
+  sim, sensors = build(*each_type(), engine=engine)
   elements = "".join(
     f'<{kind} name="{i}" cutoff="{CUTOFF.get(kind, 0)}" {attributes}/>'
     for i, (kind, *_, attributes) in enumerate(OBJECTS)
@@ -143,7 +152,7 @@ def test_every_sensor_type_equals_the_same_sensor_in_mjcf(engine: Any) -> None:
     assert sensor.dim == len(expected)
     tolerance = 1e-9 if engine == "native" else 2e-3 * max(1.0, float(expected.abs().max()))
     torch.testing.assert_close(sensor.data.double(), expected.expand(2, -1), rtol=0, atol=tolerance, msg=kind)
-    assert expected.any(), f"{kind} reads nothing, which would tell nothing"
+    assert expected.any(), f"{kind} reads nothing"
 
 
 def test_the_table_has_every_type_of_mujoco_and_the_readme_shows_it() -> None:
@@ -152,7 +161,7 @@ def test_the_table_has_every_type_of_mujoco_and_the_readme_shows_it() -> None:
   declared = set(get_args(SensorType))
   assert declared == {name for name, *_ in OBJECTS}
   assert set(NATIVE_TYPES) - declared == {"contact", "plugin", "user"}
-  sim, _ = build(*[BuiltinSensorCfg(sensor_type=name, obj=obj, ref=relative) for name, obj, relative, _ in OBJECTS])
+  sim, _ = build(*each_type())
   model, stages = sim.mj_model, ("none", "position", "velocity", "acceleration")
   compiled = {
     model.sensor_type[i]: (model.sensor_dim[i], stages[model.sensor_needstage[i]]) for i in range(model.nsensor)
@@ -176,17 +185,7 @@ def test_readings_turn_with_the_world_as_their_frame_says() -> None:
     turned = mujoco.MjSpec()
     turned.option.magnetic = Rotation.from_euler("z", angle).apply(turned.option.magnetic)
     turned.attach(spec, prefix="", frame=turned.worldbody.add_frame(quat=[np.cos(angle / 2), 0, 0, np.sin(angle / 2)]))
-    cfgs = [
-      # Without a reference, where that can be: then its frame is the world's.
-      BuiltinSensorCfg(
-        sensor_type=kind,
-        obj=obj,
-        ref=relative if NATIVE_TYPES[kind].needs_reference else None,
-        cutoff=CUTOFF.get(kind, 0.0),
-      )
-      for kind, obj, relative, _ in OBJECTS
-    ]
-    sim, sensors = simulate(turned, *cfgs, num_envs=1)
+    sim, sensors = simulate(turned, *each_type(relative=False), num_envs=1)
     velocity = torch.linspace(-1.0, 1.0, sim.mj_model.nv, dtype=sim.dtype)
     for joint in range(sim.mj_model.njnt):
       if sim.mj_model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
@@ -212,7 +211,7 @@ def test_readings_turn_with_the_world_as_their_frame_says() -> None:
     np.testing.assert_allclose(after, expected, atol=1e-9, err_msg=name)
 
 
-def test_a_rangefinder_tells_what_it_is_asked_for() -> None:
+def test_a_rangefinder_measures_the_chosen_quantities() -> None:
   fields: Any = ("dist", "origin", "point", "depth")
   _, (sensor,) = build(BuiltinSensorCfg(sensor_type="rangefinder", obj=ref("camera", "watch"), ray_data=fields))
   rays = sensor.data[0].unflatten(0, (12, 8))
@@ -226,7 +225,7 @@ def test_a_rangefinder_tells_what_it_is_asked_for() -> None:
   assert (depth[~hit] == -1).all()
 
 
-def test_enclosed_tells_how_far_something_reaches_out() -> None:
+def test_enclosed_measures_how_far_an_object_reaches_out() -> None:
   cfg = BuiltinSensorCfg(sensor_type="insidesite", obj=ref("geom", "shell"), ref=ref("site", "zone"), enclosed=True)
   sim, (sensor,) = build(cfg)
   # A box of half height 0.3 in one of 0.4 around the same height, 0.2 wide along y in 0.3.

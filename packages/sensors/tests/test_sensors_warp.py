@@ -43,62 +43,31 @@ TERRAIN = """
 <geom type="plane" size="0 0 1"/>
 <geom type="box" size="0.1 1 0.02" pos="-0.15 0 0" contype="0" conaffinity="0"/>
 """
+TOP, SITE = FrameMatch(type="site", pattern="top", entity="robot"), ObjRef(type="site", name="top", entity="robot")
+GRID = GridPatternCfg(size=(0.4, 0.2), resolution=0.1)
+LIDAR = LidarPatternCfg(rows=3, columns=7, vertical_fov=(-60.0, -20.0))
+
+
+def contacts(name: str, mode: Any, secondary: str = "", **fields: Any) -> ContactSensorCfg:
+  """Contacts of all parts of the robot."""
+  primary = ContactMatch(mode=mode, pattern=".*", entity="robot")
+  other = ContactMatch(mode="body", pattern=secondary) if secondary else None
+  return ContactSensorCfg(name=name, primary=primary, secondary=other, **fields)
+
+
 CFGS = (
-  ContactSensorCfg(
-    name="net",
-    primary=ContactMatch(mode="subtree", pattern=".*", entity="robot"),
-    secondary=ContactMatch(mode="body", pattern="terrain"),
-    reduce="netforce",
-    track_air_time=True,
-    history_length=3,
-  ),
-  ContactSensorCfg(
-    name="slots",
-    primary=ContactMatch(mode="geom", pattern=".*", entity="robot"),
-    fields=("found", "force", "dist", "normal"),
-    num_slots=3,
-  ),
-  ContactSensorCfg(
-    name="found", primary=ContactMatch(mode="body", pattern=".*", entity="robot"), fields=("found",), reduce="none"
-  ),
-  BuiltinSensorCfg(
-    name="accelerometer", sensor_type="accelerometer", obj=ObjRef(type="site", name="top", entity="robot")
-  ),
-  BuiltinSensorCfg(name="velocimeter", sensor_type="velocimeter", obj=ObjRef(type="site", name="top", entity="robot")),
-  TerrainHeightSensorCfg(
-    name="height",
-    frames=FrameMatch(type="site", pattern="top", entity="robot"),
-    pattern=GridPatternCfg(size=(0.4, 0.2), resolution=0.1),
-    reduction="none",
-  ),
+  contacts("net", "subtree", "terrain", reduce="netforce", track_air_time=True, history_length=3),
+  contacts("slots", "geom", fields=("found", "force", "dist", "normal"), num_slots=3),
+  contacts("found", "body", fields=("found",), reduce="none"),
+  contacts("pairs", "body", "terrain|robot/.*", reduce="netforce", track_air_time=True),
+  BuiltinSensorCfg(name="accelerometer", sensor_type="accelerometer", obj=SITE),
+  BuiltinSensorCfg(name="velocimeter", sensor_type="velocimeter", obj=SITE),
+  ImuSensorCfg(name="imu", site=SITE),
+  TerrainHeightSensorCfg(name="height", frames=TOP, pattern=GRID, reduction="none"),
+  RayCastSensorCfg(name="scan", frames=TOP, pattern=GRID, alignment="yaw", start_height=0.5, geom_groups=(0,)),
+  RayCastSensorCfg(name="lidar", frames=TOP, pattern=LIDAR, exclude_own_tree=True, max_distance=2.0),
   RayCastSensorCfg(
-    name="scan",
-    frames=FrameMatch(type="site", pattern="top", entity="robot"),
-    pattern=GridPatternCfg(size=(0.4, 0.2), resolution=0.1),
-    alignment="yaw",
-    start_height=0.5,
-    geom_groups=(0,),
-  ),
-  ContactSensorCfg(
-    name="pairs",
-    primary=ContactMatch(mode="body", pattern=".*", entity="robot"),
-    secondary=ContactMatch(mode="body", pattern="terrain|robot/.*"),
-    reduce="netforce",
-    track_air_time=True,
-  ),
-  ImuSensorCfg(name="imu", site=ObjRef(type="site", name="top", entity="robot")),
-  RayCastSensorCfg(
-    name="lidar",
-    frames=FrameMatch(type="site", pattern="top", entity="robot"),
-    pattern=LidarPatternCfg(rows=3, columns=7, vertical_fov=(-60.0, -20.0)),
-    exclude_own_tree=True,
-    max_distance=2.0,
-  ),
-  RayCastSensorCfg(
-    name="depth",
-    frames=FrameMatch(type="site", pattern="top", entity="robot"),
-    pattern=PinholeCameraPatternCfg(width=5, height=4, fovy=70.0),
-    max_distance=0.6,
+    name="depth", frames=TOP, pattern=PinholeCameraPatternCfg(width=5, height=4, fovy=70.0), max_distance=0.6
   ),
 )
 
