@@ -223,8 +223,7 @@ def _broken_rule(value: Any, hint: Any) -> str:
     if "" in broken:
       return ""
     # A part for values of this type explains the mistake best.
-    of_type = [rule for rule, arg in broken.items() if rule not in _TYPE_RULES and get_origin(arg) is not Literal]
-    return " or ".join(of_type or broken)
+    return " or ".join([rule for rule, arg in broken.items() if _is_for(value, rule, arg)] or broken)
   if origin is Literal:
     return "" if value in args else f"be {' or '.join(map(repr, args))}"
   if origin is tuple:
@@ -236,6 +235,12 @@ def _broken_rule(value: Any, hint: Any) -> str:
   kind, rule = _TYPES.get(hint, (object, "")) if isinstance(hint, type) else (object, "")
   is_wrong = not isinstance(value, kind) or (hint in (int, float) and isinstance(value, bool))
   return rule if is_wrong else ""
+
+
+def _is_for(value: Any, rule: str, hint: Any) -> bool:
+  """Return True if an annotation that a value breaks by `rule` is for values of its type."""
+  literals = [type(choice) for choice in get_args(hint)] if get_origin(hint) is Literal else [type(value)]
+  return rule not in _TYPE_RULES and type(value) in literals
 
 
 def _broken_by_elements(value: Any, hints: tuple[Any, ...]) -> str:

@@ -120,15 +120,10 @@ class ModelFields(Protocol):
 _COUNTS = {"joint": "njnt", "camera": "ncam", "material": "nmat", "texture": "ntex", "equality": "neq"}
 
 
-def num_elements(model: Any, kind: str) -> int:
-  """Return the number of elements of an `MjModel`; a kind is "body", "joint", "geom" and so on."""
-  return getattr(model, _COUNTS.get(kind, f"n{kind}"))
-
-
 def element_names(model: Any, kind: str) -> list[str]:
-  """Return the names of all elements of a kind in an `MjModel`, in its order."""
+  """Return the names of all elements of a kind, such as "body" or "joint", in an `MjModel`, in its order."""
   element = getattr(model, kind)
-  return [element(i).name for i in range(num_elements(model, kind))]
+  return [element(i).name for i in range(getattr(model, _COUNTS.get(kind, f"n{kind}")))]
 
 
 def followers(name: str) -> tuple[str, ...]:

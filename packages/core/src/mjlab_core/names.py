@@ -36,11 +36,8 @@ def match_names(
   Raises:
     UnknownNameError: a pattern matches no name, or two patterns match one name.
   """
-  patterns = [patterns] if isinstance(patterns, str) else list(patterns)
-  owner_of = _assign(patterns, names, what=what, owner=owner)
-  picked = [i for i in range(len(names)) if owner_of[i] >= 0]
-  if preserve_order:
-    picked.sort(key=lambda i: owner_of[i])
+  pattern_of = _assign([patterns] if isinstance(patterns, str) else patterns, names, what=what, owner=owner)
+  picked = list(pattern_of) if preserve_order else sorted(pattern_of)
   return picked, [names[i] for i in picked]
 
 
@@ -54,13 +51,11 @@ def match_values(
   Raises:
     UnknownNameError: a pattern matches no name, or two patterns other than ".*" match one name.
   """
-  patterns = [pattern for pattern in values if pattern != EVERY]
-  owner_of = _assign(patterns, names, what=what, owner=owner)
+  pattern_of = _assign([pattern for pattern in values if pattern != EVERY], names, what=what, owner=owner)
   if EVERY in values:
-    owner_of = [len(patterns) if p < 0 else p for p in owner_of]
-    patterns.append(EVERY)
-  picked = [i for i in range(len(names)) if owner_of[i] >= 0]
-  return picked, [names[i] for i in picked], [values[patterns[owner_of[i]]] for i in picked]
+    pattern_of = dict.fromkeys(range(len(names)), EVERY) | pattern_of
+  picked = sorted(pattern_of)
+  return picked, [names[i] for i in picked], [values[pattern_of[i]] for i in picked]
 
 
 def match_values_full(
@@ -113,28 +108,25 @@ def check_name(what: str, name: str, candidates: Iterable[str], owner: str = "")
   return name
 
 
-def _assign(patterns: Sequence[str], names: Sequence[str], *, what: str, owner: str) -> list[int]:
-  """Return for each name the index of the pattern that selects it, or -1."""
-  owner_of = [-1] * len(names)
-  for p, pattern in enumerate(patterns):
+def _assign(patterns: Sequence[str], names: Sequence[str], *, what: str, owner: str) -> dict[int, str]:
+  """Return the pattern that selects each name, by the index of the name, in the order of the patterns."""
+  pattern_of: dict[int, str] = {}
+  for pattern in patterns:
     try:
       matches = re.compile(pattern).fullmatch
     except re.error as error:
       raise UnknownNameError(f"{_prefix(owner)}pattern {pattern!r} is not a regular expression: {error}.") from error
-    hit = False
-    for i, name in enumerate(names):
-      if matches(name) is None:
-        continue
-      hit = True
-      if owner_of[i] >= 0:
+    matched = [i for i, name in enumerate(names) if matches(name)]
+    if not matched:
+      raise UnknownNameError(f"{_prefix(owner)}pattern {pattern!r} matches no {what}. {_offer(pattern, names)}")
+    for i in matched:
+      if i in pattern_of:
         raise UnknownNameError(
-          f"{_prefix(owner)}{what} {name!r} is matched by two patterns, {patterns[owner_of[i]]!r} and {pattern!r}; "
+          f"{_prefix(owner)}{what} {names[i]!r} is matched by two patterns, {pattern_of[i]!r} and {pattern!r}; "
           f"each name may match one. {_all(names)}"
         )
-      owner_of[i] = p
-    if not hit:
-      raise UnknownNameError(f"{_prefix(owner)}pattern {pattern!r} matches no {what}. {_offer(pattern, names)}")
-  return owner_of
+      pattern_of[i] = pattern
+  return pattern_of
 
 
 def _prefix(owner: str) -> str:

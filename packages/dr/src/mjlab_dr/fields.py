@@ -103,11 +103,6 @@ class Field:
     return units[axis % len(units)]
 
 
-def count(model: mujoco.MjModel, kind: str) -> int:
-  """Return the number of elements of a kind; the options are one."""
-  return 1 if kind == "option" else model_fields.num_elements(model, kind)
-
-
 def element_names(model: mujoco.MjModel, kind: str) -> list[str]:
   """Return the names of all elements of a kind, in the order of the model; without a name it is "(geom 3)"."""
   names = ["option"] if kind == "option" else model_fields.element_names(model, kind)

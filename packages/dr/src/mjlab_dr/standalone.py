@@ -19,7 +19,7 @@ from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField, apply_all
 from mjlab_dr.catalogue import FIELDS, followers_of
-from mjlab_dr.fields import count
+from mjlab_dr.fields import element_names
 from mjlab_dr.randomizers import FieldRandomizer
 
 
@@ -221,7 +221,7 @@ class _BatchedFields:
   def default_field(self, name: str) -> Tensor:
     """Return the compiled value, (1, ...); zero for a field that MjModel does not have."""
     if name in FIELDS and not FIELDS[name].in_model:
-      return torch.zeros(1, count(self.mj_model, FIELDS[name].kind), device=self.device, dtype=self.dtype)
+      return torch.zeros(1, len(element_names(self.mj_model, FIELDS[name].kind)), device=self.device, dtype=self.dtype)
     value = torch.tensor(np.asarray(attrgetter(name)(self.mj_model)), device=self.device)
     return (value.to(self.dtype) if value.is_floating_point() else value).unsqueeze(0)
 

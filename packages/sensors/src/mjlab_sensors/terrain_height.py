@@ -55,7 +55,7 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData], cfg=TerrainHeightSensorC
   """Height of frames above the ground: z of the frame less z of the point that a ray hits.
 
   Rays that hit nothing within `max_distance` are left out of the reduction. Above one fixed level plane, rays straight
-  down are not cast: the reading is the height above the plane.
+  down that pass through no body are not cast: the reading is the height above the plane.
   """
 
   cfg: TerrainHeightSensorCfg
@@ -125,16 +125,11 @@ class TerrainHeightSensor(RaySensor[TerrainHeightData], cfg=TerrainHeightSensorC
 
   def _plane_height(self) -> float | None:
     """Return the world height of the ground if it is one fixed, infinite, horizontal plane [m]; else None."""
-    cfg, model = self.cfg, self.sim.mj_model
-    body_owner = model.body_rootid if cfg.exclude_own_tree else np.arange(model.nbody)
-    owner, through = body_owner[model.geom_bodyid], np.unique(body_owner[self._excluded])
-    is_seen = np.isin(model.geom_group, range(mujoco.mjNGROUP) if cfg.geom_groups is None else cfg.geom_groups)
-    # Geoms that some rays pass through do not count where all rays pass through the same.
-    if len(through) == 1:
-      is_seen &= owner != through
-    if is_seen.sum() != 1 or np.isin(owner[is_seen], through):
+    groups, model = self.cfg.geom_groups, self.sim.mj_model
+    seen = np.flatnonzero(np.isin(model.geom_group, range(mujoco.mjNGROUP) if groups is None else groups))
+    if self._excluded or len(seen) != 1:
       return None
-    geom = int(np.argmax(is_seen))
+    geom = int(seen[0])
     body = model.geom_bodyid[geom]
     is_fixed = model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
     is_infinite = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and not model.geom_size[geom, :2].any()
