@@ -59,7 +59,7 @@ def test_full_values_cover_every_name_or_say_which_is_left() -> None:
     match_values_full({"FL.*": 1}, LEGS[:4], what="joint", owner="act")
 
 
-def test_every_name_without_a_pattern_of_its_own_has_the_value_for_all() -> None:
+def test_names_without_a_separate_pattern_have_the_value_for_all() -> None:
   values = match_values_full({".*": 1, "FL_.*": 2}, LEGS, what="joint")
   assert values == [2 if leg.startswith("FL") else 1 for leg in LEGS]
   assert match_values_full({".*": 1, ".*_joint": 2}, LEGS, what="joint") == [2] * len(LEGS)

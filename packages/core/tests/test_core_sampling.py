@@ -29,7 +29,7 @@ def test_draws_follow_their_distribution(dtype: torch.dtype) -> None:
   assert ks(cut, stats.truncnorm(-1.0, 4.0, 2.0, 0.5)) > 0.01
 
 
-def test_bounds_may_differ_per_column_and_every_element_is_its_own_draw() -> None:
+def test_bounds_may_differ_per_column_and_elements_are_independent() -> None:
   rng = core.make_generator("cpu", 0)
   lo, hi = torch.tensor([0.0, 10.0]), torch.tensor([1.0, 30.0])
   for sample in (
@@ -78,7 +78,7 @@ def test_masked_writes_reach_through_views_and_refuse_wrong_shapes() -> None:
   ("mask", "given"),
   [(torch.tensor([0, 1]), r"torch\.int64 \(2,\)"), (torch.ones(2), "torch.float32"), ([True, False], "list")],
 )
-def test_world_numbers_are_no_mask(mask: Any, given: str) -> None:
+def test_world_numbers_as_a_mask_are_refused(mask: Any, given: str) -> None:
   for write in (core.where_, core.fill_):
     dst = torch.zeros(2)
     with pytest.raises(TypeError, match=f"`mask` must be a bool tensor .*, got {given}"):
@@ -86,7 +86,7 @@ def test_world_numbers_are_no_mask(mask: Any, given: str) -> None:
     assert not dst.any()
 
 
-def test_a_mask_hides_not_a_number_in_the_source() -> None:
+def test_nan_in_unmasked_rows_of_the_source_is_not_written() -> None:
   dst = torch.zeros(2)
   core.where_(dst, torch.tensor([False, True]), torch.tensor([math.nan, 1.0]))
   assert dst.tolist() == [0.0, 1.0]
@@ -106,13 +106,13 @@ def test_seeding_reaches_every_global_generator_and_says_the_seed() -> None:
   assert draws() == second
 
 
-def test_generators_repeat_with_their_seed_and_are_their_owners_alone() -> None:
+def test_generators_repeat_with_their_seed_whatever_the_global_one_draws() -> None:
   a, b = core.make_generator("cpu", 3), core.make_generator("cpu", 3)
   torch.rand(3)
   assert torch.equal(torch.rand(4, generator=a), torch.rand(4, generator=b))
 
 
-def test_draws_follow_no_call_that_an_empty_mask_skips() -> None:
+def test_later_draws_do_not_depend_on_a_call_that_an_empty_mask_skips() -> None:
   outside, inside = [], []
 
   def act(mask: torch.Tensor) -> None:

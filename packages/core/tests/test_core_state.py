@@ -34,7 +34,7 @@ class Tree(Leaf):
     self.table = StatefulDict({"a": Leaf(value), "b": Leaf(value + 1)})
 
 
-def test_state_is_what_is_declared_here_and_in_children() -> None:
+def test_state_consists_of_declared_tensors_here_and_in_children() -> None:
   state = Tree(2.0).state_dict()
   assert list(state) == ["memory", "clock", "leaf", "table"]
   assert list(state["leaf"]) == ["memory"]
@@ -148,7 +148,7 @@ def test_an_object_has_one_owner_and_other_holders_only_refer_to_it() -> None:
   assert "friend" in other.state_dict()
 
 
-def test_copies_have_state_of_their_own() -> None:
+def test_copies_have_separate_state() -> None:
   tree = Tree(1.0)
   twin = copy.deepcopy(tree)
   twin.memory.fill_(5.0)

@@ -220,7 +220,7 @@ def recompiled(values: dict[str, np.ndarray]) -> mujoco.MjModel:
       for element in getattr(spec, elements):
         setattr(element, attribute, value[element.id])
   for tendon in spec.tendons:
-    # The compiler measures a rest length that nobody gave; it is a value like any other, and none that follows.
+    # The compiler measures a missing rest length; it is a value like any other, and does not follow from others.
     tendon.springlength = model.tendon_lengthspring[tendon.id]
   return spec.compile()
 

@@ -94,7 +94,7 @@ class NoSync(TorchDispatchMode):
 
 
 class Beyond:
-  """Draws what it says that it does not draw."""
+  """Distribution with draws outside of its support."""
 
   def __repr__(self) -> str:
     return "Beyond()"
@@ -127,7 +127,7 @@ def bound(cfg: FieldRandomizer, sim: ModelFields, seed: int = 0) -> RandomizeFie
 
 
 @pytest.mark.parametrize("pattern", ["a/f1", "a/f."], ids=["evenly_spaced", "scattered"])
-def test_repeats_start_from_what_a_world_has_of_its_own_now(sim: FakeSim, pattern: str) -> None:
+def test_repeats_start_from_the_present_default_of_each_world(sim: FakeSim, pattern: str) -> None:
   """As where the state of a run is loaded whose worlds have other objects."""
   sim.own = {"geom_friction": sim.default_field("geom_friction").repeat(N, 1, 1)}
   term = bound(geom_friction(pattern, (2.0, 2.5), operation="scale"), sim)
@@ -201,7 +201,7 @@ def test_apply_writes_masked_worlds_in_place_without_a_sync_and_draws_alike_what
   assert not torch.equal(terms[0].values()[mask], values[mask]) or cfg.row.integer
 
 
-def test_where_worlds_differ_each_starts_from_its_own_default() -> None:
+def test_worlds_with_different_defaults_start_from_theirs() -> None:
   sim = FakeSim(EVERYTHING)
   compiled = sim.default_field
   factors = torch.arange(1, N + 1, dtype=torch.float64)
@@ -351,7 +351,7 @@ def test_gaussian_draws_differ_between_worlds_for_rotations_and_inertia_too() ->
   assert sim.model.body_mass[:, moving].unique().numel() == 2 * N
 
 
-def test_a_function_of_ones_own_is_held_within_its_bounds() -> None:
+def test_draws_of_a_custom_function_are_clamped_to_its_bounds() -> None:
   def waves(shape, *, generator, device, dtype) -> torch.Tensor:
     return 2.0 * torch.rand(tuple(shape), generator=generator, device=device, dtype=dtype).sin()
 
@@ -371,21 +371,21 @@ def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> N
 
 
 @pytest.mark.parametrize("name", [name for name in FIELDS if FIELDS[name].in_model])
-def test_what_was_drawn_is_told_from_what_was_written(name: str) -> None:
+def test_draws_are_computed_from_written_values(name: str) -> None:
   term = bound(trial(name), FakeSim(EVERYTHING))
   seen: list[torch.Tensor] = []
   sample = term._sample
   term._sample = lambda shape, generator: seen.append(sample(shape, generator)) or seen[0]
   term.apply(torch.ones(N, dtype=torch.bool))
-  told = torch.stack(list(drawn_values(term).values()), -1)
-  seen[0] = seen[0].expand_as(told)
-  known = told.isfinite()
+  found = torch.stack(list(drawn_values(term).values()), -1)
+  seen[0] = seen[0].expand_as(found)
+  known = found.isfinite()
   assert known.any() or FIELDS[name].form == "direction"
-  # What MjModel has in single precision is drawn, and told, no better than that.
-  torch.testing.assert_close(told[known], seen[0].double()[known], rtol=1e-4, atol=1e-6)
+  # Fields in single precision limit the precision of the draws.
+  torch.testing.assert_close(found[known], seen[0].double()[known], rtol=1e-4, atol=1e-6)
 
 
-def test_what_is_chosen_by_name_is_held_against_ids() -> None:
+def test_choices_by_name_are_compared_as_ids() -> None:
   cfg = randomize_field("mat_texid", "dull", {"rgb": Categorical(("steel", "wood"), (3.0, 1.0))})
   sim = FakeSim(EVERYTHING)
   term = bound(cfg, sim)
@@ -395,7 +395,7 @@ def test_what_is_chosen_by_name_is_held_against_ids() -> None:
   assert agreement(drawn, asked) > 0.01
 
 
-def test_agreement_tells_the_asked_distribution_from_another_and_from_one_draw_for_all() -> None:
+def test_agreement_rejects_other_distributions_and_one_draw_for_all() -> None:
   generator = make_generator("cpu", 0)
   drawn = 0.3 + 0.9 * torch.rand(500, generator=generator)
   assert agreement(drawn, Uniform(0.3, 1.2)) > 0.01

@@ -76,7 +76,7 @@ def test_it_is_the_congruence_of_the_pseudo_inertia() -> None:
 
 
 @each_path
-def test_nothing_is_exactly_nothing() -> None:
+def test_zero_parameters_change_nothing() -> None:
   before = bodies(500)
   before[2][:100] = torch.tensor([0.5, 0.7, 1.2])  # planar, and not in float32
   before[2][100] = 0.0

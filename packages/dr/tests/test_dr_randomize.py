@@ -118,7 +118,7 @@ def test_tensors_are_drawn_again_in_masked_worlds_in_place(model: mujoco.MjModel
   assert torch.equal(fields["geom_friction"], again["geom_friction"])
 
 
-def test_tensors_of_ones_own_are_written_where_something_is_drawn_and_keep_the_rest(model: mujoco.MjModel) -> None:
+def test_given_tensors_are_written_where_numbers_are_drawn_alone(model: mujoco.MjModel) -> None:
   mine = {"geom_friction": torch.full((5, model.ngeom, 3), 7.0, dtype=torch.float64)}
   fields = randomize(model, [geom_friction("left_foot", (0.3, 1.2)), body_com_offset("trunk", COM)], tensors=mine)
   assert fields["geom_friction"] is mine["geom_friction"]
@@ -150,7 +150,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("cfg", "distribution", "elements", "axes"), CASES, ids=[c[0].label for c in CASES])
-def test_every_element_axis_and_world_is_its_own_draw_of_the_asked_distribution(
+def test_draws_are_independent_between_elements_axes_and_worlds(
   model: mujoco.MjModel, cfg: FieldRandomizer, distribution: stats.rv_continuous, elements: list[int], axes: list[int]
 ) -> None:  # fmt: skip
   rows = 300 if needs_constants(cfg.field) else ROWS
@@ -175,7 +175,7 @@ def test_a_shared_draw_is_one_for_all_elements_of_a_world(model: mujoco.MjModel)
   assert len(friction[:, 2, 0].unique()) == 50
 
 
-def test_a_seed_repeats_and_none_is_drawn_and_told(model: mujoco.MjModel) -> None:
+def test_a_seed_repeats_and_a_drawn_seed_is_an_attribute(model: mujoco.MjModel) -> None:
   cfgs = [geom_friction(".*foot", (0.3, 1.2)), encoder_bias(".*knee", (-0.01, 0.01))]
   first = randomize(model, cfgs)
   again = randomize(mujoco.MjModel.from_xml_string(XML), cfgs, seed=first.seed)
@@ -183,7 +183,7 @@ def test_a_seed_repeats_and_none_is_drawn_and_told(model: mujoco.MjModel) -> Non
   assert randomize(mujoco.MjModel.from_xml_string(XML), cfgs).changes() != again.changes()
 
 
-def test_several_randomizers_compose_on_axes_and_the_report_tells_before_and_after(model: mujoco.MjModel) -> None:
+def test_several_randomizers_compose_on_axes_and_the_report_has_values_before_and_after(model: mujoco.MjModel) -> None:
   cfgs = [
     geom_friction("left_foot", {"sliding": (0.7, 0.7), "rolling": (0.001, 0.001)}),
     geom_friction("left_foot", (0.02, 0.02), axes=("torsional",)),
@@ -242,7 +242,7 @@ def test_kp_of_a_position_actuator_is_one_number_in_its_gain_and_its_feedback(
     assert (tensor[:, rest] == compiled[rest]).all()
 
 
-def test_what_has_no_kp_and_a_kp_that_cannot_be_are_refused() -> None:
+def test_kp_of_other_actuators_and_impossible_kp_are_refused() -> None:
   def refused(message: str, *cfgs: FieldRandomizer) -> None:
     with pytest.raises(ValueError, match=message):
       randomize(mujoco.MjModel.from_xml_string(SERVOS), cfgs, seed=0)
@@ -257,7 +257,7 @@ def test_what_has_no_kp_and_a_kp_that_cannot_be_are_refused() -> None:
   refused("actuator 'hip' is written by two randomizers", *twice)
 
 
-def test_a_distribution_of_ones_own_works(model: mujoco.MjModel) -> None:
+def test_a_custom_distribution_works(model: mujoco.MjModel) -> None:
   class Coin:
     def check(self, name: str) -> None: ...
 
@@ -342,7 +342,7 @@ def test_the_example_of_the_readme_runs() -> None:
     exec(compile(block, str(readme), "exec"), {})
 
 
-def test_the_example_script_randomises_a_robot_of_its_own_and_says_what_changed(capsys) -> None:
+def test_the_example_script_randomises_a_robot_and_prints_the_changes(capsys) -> None:
   script = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "randomize_my_robot.py"))
   script["main"]()
   printed = capsys.readouterr().out

@@ -89,7 +89,7 @@ IDLE = [
 
 
 @pytest.mark.parametrize(("cfg", "message"), IDLE, ids=[c[0].label for c in IDLE])
-def test_what_would_do_nothing_is_refused(model: mujoco.MjModel, cfg: FieldRandomizer, message: str) -> None:
+def test_changes_without_effect_are_refused(model: mujoco.MjModel, cfg: FieldRandomizer, message: str) -> None:
   refused(model, cfg, re.escape(message))
 
 
@@ -101,7 +101,7 @@ PROBED = [
 
 
 @pytest.mark.parametrize("name", PROBED)
-def test_what_mujoco_is_said_not_to_read_changes_no_step(model: mujoco.MjModel, name: str) -> None:
+def test_numbers_without_effect_change_no_step(model: mujoco.MjModel, name: str) -> None:
   kind = FIELDS[name].kind
   ids = range(1 if kind == "body" else 0, len(element_names(model, kind)))
   found = idle(model, name, ids, range(FIELDS[name].width))
@@ -131,7 +131,7 @@ def moved(model: mujoco.MjModel) -> np.ndarray:
   return np.array(rows)
 
 
-def test_a_pattern_leaves_out_what_would_do_nothing_and_says_so_if_that_is_all(model: mujoco.MjModel) -> None:
+def test_a_pattern_leaves_out_elements_without_effect_and_is_refused_if_none_is_left(model: mujoco.MjModel) -> None:
   once = randomize(model, [randomize_field("jnt_range", ".*", (0.9, 1.0), operation="scale")], seed=0)
   assert {change.element for change in once.changes()} == {"hip", "slide", "shoulder"}
   several = r"joint 'root' would do nothing, for it has no limits\. Nor would one of the 1 others"
@@ -194,7 +194,7 @@ def test_friction_counts_where_a_contact_that_can_be_would_take_it(geom: str, ax
     assert randomize(mujoco.MjModel.from_xml_string(CONTACTS), [cfg], seed=0).changes()
 
 
-def test_softness_of_what_always_yields_to_a_higher_priority_is_refused() -> None:
+def test_softness_of_a_geom_of_lower_priority_is_refused() -> None:
   model = mujoco.MjModel.from_xml_string(CONTACTS)
   soft: list[tuple[str, Any]] = [
     ("geom_solref", {"axes": "timeconst"}),
@@ -241,7 +241,7 @@ UNPHYSICAL = [
 
 
 @pytest.mark.parametrize(("make", "message"), UNPHYSICAL)
-def test_what_no_model_could_have_is_refused_when_it_is_made(make: Callable[[], Any], message: str) -> None:
+def test_impossible_randomizers_are_refused_when_they_are_made(make: Callable[[], Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
     make()
 
@@ -269,7 +269,7 @@ RESULTS = [
 
 
 @pytest.mark.parametrize(("cfg", "message"), RESULTS, ids=[c[0].label for c in RESULTS])
-def test_what_may_come_out_unphysical_is_refused_before_anything_is_written(
+def test_unphysical_results_are_refused_before_anything_is_written(
   model: mujoco.MjModel, cfg: FieldRandomizer, message: str
 ) -> None:
   refused(model, cfg, message)

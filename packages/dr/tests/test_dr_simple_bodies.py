@@ -99,7 +99,7 @@ FIXED = {
 
 
 @pytest.mark.parametrize(("name", "kind"), [(name, kind) for name, kinds in FIXED.items() for kind in kinds])
-def test_a_simple_body_is_left_out_of_a_pattern_with_a_warning_and_refused_by_itself(name: str, kind: str) -> None:
+def test_a_simple_body_is_left_out_of_a_pattern_with_a_warning_and_refused_alone(name: str, kind: str) -> None:
   model = spec_of(kind).compile()
   only = "thing" if FIELDS[name].kind == "body" else "[abc]"
   with pytest.raises(ValueError, match=r"body 'thing'.* was compiled as simple.*simple=\"false\".*MjSpec"):
@@ -111,7 +111,7 @@ def test_a_simple_body_is_left_out_of_a_pattern_with_a_warning_and_refused_by_it
   assert {change.element for change in once.changes()} == {"link"}
 
 
-def test_what_leaves_a_simple_body_simple_is_drawn() -> None:
+def test_draws_that_leave_a_simple_body_simple_are_allowed() -> None:
   model = spec_of("free").compile()
   once = randomize(model, [pseudo_inertia("thing", alpha=(0.1, 0.2), d=(0.1, 0.2))], seed=0)
   assert once.changes()

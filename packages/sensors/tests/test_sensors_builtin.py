@@ -234,7 +234,7 @@ def test_enclosed_measures_how_far_an_object_reaches_out() -> None:
   assert sensor.data[0].item() == pytest.approx(0.15)
 
 
-def test_what_only_an_mjcf_can_declare_is_read_as_it_is() -> None:
+def test_sensor_types_of_mjcf_alone_are_read() -> None:
   _, (sensor,) = build(BuiltinSensorCfg(element="robot/mine"), elements='<user name="mine" dim="3"/>')
   assert sensor.data.shape == (2, 3)
 

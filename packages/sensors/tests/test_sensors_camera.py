@@ -108,7 +108,7 @@ def scatter(sim: Simulation) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_every_pixel_is_what_mujocos_ray_hits(engine: str) -> None:
+def test_every_pixel_equals_mj_ray(engine: str) -> None:
   names = ("robot/eye", "robot/lens", "robot/flat")
   cfgs = [CameraSensorCfg(camera=name, data_types=("depth", "distance", "segmentation")) for name in names]
   sim, sensors = build(*cfgs, engine=engine)
@@ -218,7 +218,7 @@ def test_the_intrinsic_matrix_is_that_of_the_pinhole_pattern(camera: str) -> Non
 
 
 def depth_is(sensor: CameraSensor, *expected: float) -> bool:
-  """Whether all of the image of each world is as far away as expected, 1 m unless told."""
+  """Return True if all pixels of each world have the expected depth, 1 m by default."""
   assert sensor.data.depth is not None
   depth = torch.tensor(expected or (1.0,) * NUM_ENVS)
   return torch.allclose(sensor.data.depth, depth[:, None, None, None], rtol=0.0, atol=1e-6)
@@ -282,7 +282,7 @@ def test_colours_materials_and_lights_are_those_of_each_world(engine: str) -> No
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_whatever_colours_depend_on_is_each_worlds_own(engine: str) -> None:
+def test_every_field_that_colours_depend_on_may_differ_between_worlds(engine: str) -> None:
   sim, (sensor,) = build(eye(use_shadows=True), engine=engine)
   place(sim, *[(0.3, 0.1, 1.5, None)] * NUM_ENVS)
   model = sim.mj_model
@@ -459,7 +459,7 @@ def test_an_image_is_held_for_its_period_in_each_world() -> None:
       expect(kept, due[number])
       sim.data.qpos[1, 0] += 0.2  # Still being put into its initial state.
     expect(kept, due.get(number, [False] * 3))
-  # Nobody looked when the image was due: the first who does gets the present state, and the beat goes on.
+  # The image was not read when it was due: the next reading shows the present state, and the rhythm stays.
   for _ in range(6):
     advance(sim, [live, slow])
     sim.data.qpos[:, 2] += 0.1
@@ -470,7 +470,7 @@ def test_an_image_is_held_for_its_period_in_each_world() -> None:
   expect(kept, [True, False, True])
 
 
-def test_worlds_that_hold_their_image_are_hardly_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_that_hold_their_image_are_not_rendered(monkeypatch: pytest.MonkeyPatch) -> None:
   looked_at: list[np.ndarray] = []
   draw = mujoco_warp.render
 
@@ -490,7 +490,7 @@ def test_worlds_that_hold_their_image_are_hardly_drawn(monkeypatch: pytest.Monke
   assert [rows.tolist() for rows in looked_at] == [[True] * 3, [False, True, False]]
 
 
-def test_a_world_that_begins_anew_is_drawn_though_nothing_moved() -> None:
+def test_a_world_that_was_reset_is_drawn_though_nothing_moved() -> None:
   sim, (live, slow) = build(eye(data_types=ALL), eye(name="slow", data_types=ALL, update_period=100))
   over_the_floor(sim)
   held = slow.data.pos_w.clone()
@@ -552,7 +552,7 @@ def test_captured_images_are_bit_equal_to_eager_ones() -> None:
 
 
 @pytest.mark.parametrize("period", [0, 3])
-def test_a_world_that_diverges_is_seen_by_itself_alone(period: int) -> None:
+def test_a_world_that_diverges_changes_no_image_of_others(period: int) -> None:
   sim, (sensor,) = build(eye(data_types=ALL, update_period=period))
   scatter(sim)
   before = {name: value.clone() for name, value in vars(sensor.data).items()}
@@ -620,7 +620,7 @@ def test_documented_shapes_are_the_real_ones() -> None:
   torch.testing.assert_close(sensor.data.rgb_float * 255.0, sensor.data.rgb.float())
 
 
-def test_what_is_not_asked_for_is_not_there() -> None:
+def test_images_of_other_data_types_are_none() -> None:
   _, (sensor,) = build(eye(data_types=("depth",)))
   images = sensor.data
   assert images.rgb is images.rgb_float is images.distance is images.segmentation is None

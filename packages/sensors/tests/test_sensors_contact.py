@@ -99,7 +99,7 @@ def test_all_fields_equal_those_of_mujoco(reduce: Any) -> None:
   assert max(touched) > 1
 
 
-def test_what_was_not_asked_for_is_none() -> None:
+def test_other_fields_are_none() -> None:
   _, (sensor,) = build(ContactSensorCfg(name="feet", primary=BOX, fields=("force",)))
   assert [name for name, value in vars(sensor.data).items() if value is not None] == ["force"]
 
@@ -263,7 +263,7 @@ def test_times_follow_the_contacts_through_random_hops_and_partial_resets() -> N
   assert min(seen.values()) > 50
 
 
-def test_pairs_are_told_apart_and_air_ends_with_any_of_them() -> None:
+def test_pairs_are_reported_separately_and_air_ends_with_any_of_them() -> None:
   # Two feet above two plates each; which plate a foot touches is written as state.
   plates = "".join(
     f'<geom name="plate{i}{side}" type="box" size="0.2 0.2 0.1" pos="{x} {y} -0.1"/>'

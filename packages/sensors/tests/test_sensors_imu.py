@@ -75,7 +75,7 @@ def test_a_bias_is_added_in_the_axes_of_the_site() -> None:
     assert bias.std().item() == pytest.approx(most / 3**0.5, rel=0.15)
 
 
-def test_a_reset_draws_anew_for_masked_worlds_alone() -> None:
+def test_a_reset_draws_biases_of_masked_worlds_alone() -> None:
   _, sensor = build(gyro_bias=0.2)
   before = sensor.gyro_bias.clone()
   mask = torch.arange(64) % 2 == 0
@@ -84,7 +84,7 @@ def test_a_reset_draws_anew_for_masked_worlds_alone() -> None:
   assert (sensor.gyro_bias[mask] != before[mask]).all()
 
 
-def test_what_an_event_sets_is_read_at_once_and_survives_resets_where_nothing_is_drawn() -> None:
+def test_a_bias_that_is_set_is_read_at_once_and_survives_resets_without_draws() -> None:
   _, sensor = build(gyro_bias=0.2)
   mask = torch.arange(64) < 10
   _ = sensor.data
@@ -97,7 +97,7 @@ def test_what_an_event_sets_is_read_at_once_and_survives_resets_where_nothing_is
   assert (sensor.data.angular_velocity == 1.0).all()
 
 
-def test_a_bias_wanders_with_the_root_of_time_and_starts_anew() -> None:
+def test_a_bias_walks_with_the_root_of_time_and_restarts_at_zero() -> None:
   _, sensor = build(num_envs=512, gyro_walk=0.1, accelerometer_walk=0.4)
   for _ in range(400):
     sensor.update(0.005)

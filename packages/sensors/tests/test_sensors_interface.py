@@ -105,7 +105,7 @@ def test_a_second_reading_costs_nothing_and_none_is_stale(world: World, name: st
     assert sensor.data is sensor.data
     change()
     now = copies(sensor.data)
-    # What is computed anew, however it is asked, is what the reading says.
+    # A reading that is computed again is the same.
     for key, value in values(sensor._read()).items():
       torch.testing.assert_close(now[key], value, rtol=0, atol=0)
     if name in changed:
@@ -150,7 +150,7 @@ def test_a_reset_touches_masked_worlds_only(name: str) -> None:
       if resets and substep in (4, 9):
         world.reset(mask)
       elif substep in (4, 9):
-        # Draws are made for all worlds, whoever is reset.
+        # Draws are made for all worlds, whatever the mask.
         world.reset(torch.zeros(NUM_ENVS, dtype=torch.bool))
       world.step()
     readings.append(values(world.sensors[name].data))

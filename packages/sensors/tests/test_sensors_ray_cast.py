@@ -209,7 +209,7 @@ def test_a_reading_works_in_memory_that_stays() -> None:
   assert turned == [True, True, True, False, True, False]
 
 
-def test_what_is_not_hit_says_so() -> None:
+def test_rays_without_a_hit_are_marked() -> None:
   sim, (sensor,) = build(RayCastSensorCfg(frames=HEADS, max_distance=0.9, pattern=RingPatternCfg(num_samples=3)))
   tilted = Rotation.from_euler("x", 60, degrees=True)
   place(sim, (0, 0, 0.5, None), (0, 0, 2, None), (0, 0, 0.6, tilted))

@@ -25,7 +25,7 @@ REDUCTIONS: tuple[HeightReduction, ...] = ("min", "max", "mean", "none")
 GROUND_Z = 0.3
 PLANE = f'<geom type="plane" size="0 0 1" pos="0 0 {GROUND_Z}"/>'
 
-# Visible shells are in group 1: what counts as ground is told by group.
+# Visible shells are in group 1; groups decide what counts as ground.
 ROBOT = """
 <mujoco>
   <worldbody>

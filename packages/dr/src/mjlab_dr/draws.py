@@ -43,7 +43,7 @@ def drawn_values(term: RandomizeField) -> dict[str, Tensor]:
 
 
 def agreement(drawn: Tensor, distribution: Distribution, *, reference: int = 20_000) -> float:
-  """Return the probability of draws as far from a distribution as these; near zero if they are not its own.
+  """Return the p-value of draws under a distribution: near zero if they cannot come from it.
 
   The two-sample Kolmogorov-Smirnov test of SciPy (the extra `measure`) against `reference` draws; for categories it
   errs towards likely. Values that are not finite are left out; 1 if none is left.

@@ -22,7 +22,6 @@ from torch import Tensor
 
 # Convergence is quadratic; random matrices are at rounding after four.
 _SWEEPS = 4
-_UPPER = ((0, 1), (0, 2), (1, 2))
 
 
 def perturb_inertia(
@@ -57,12 +56,9 @@ def perturb_inertia(
   mass, com, inertia, quat, p = (x.double() for x in given)
   p = p.expand(*batch, 10)
   gain = (2.0 * p[..., 0]).exp()
-  stretch = torch.expm1(p[..., 1:4])
-  s12, s13, s23 = p[..., 4:7].unbind(-1)
-  zero = torch.zeros_like(s12)
   # A - 1, so that a perturbation of nothing is nothing.
-  change = torch.stack((stretch[..., 0], s12, s13, zero, stretch[..., 1], s23, zero, zero, stretch[..., 2]), -1)
-  change = change.unflatten(-1, (3, 3))
+  change = torch.diag_embed(torch.expm1(p[..., 1:4]))
+  change[..., 0, 1:], change[..., 1, 2] = p[..., 4:6], p[..., 6]
   moved = com + (change @ com.unsqueeze(-1)).squeeze(-1) + p[..., 7:]
 
   axes = matrix_from_quat(quat)
@@ -101,8 +97,8 @@ def inertia_perturbation(
     _upper_factor(before), _upper_factor(after / ratio[..., None, None]), upper=True, left=False
   )
   moved = to_com.double() - (a @ com.double().unsqueeze(-1)).squeeze(-1)
-  shear = torch.stack([a[..., i, j] for i, j in _UPPER], -1)
-  return torch.cat((0.5 * ratio.log().unsqueeze(-1), a.diagonal(dim1=-2, dim2=-1).log(), shear, moved), -1)
+  stretch, shear = a.diagonal(dim1=-2, dim2=-1).log(), torch.cat((a[..., 0, 1:], a[..., 1, 2:]), -1)
+  return torch.cat((0.5 * ratio.log().unsqueeze(-1), stretch, shear, moved), -1)
 
 
 def _has_kernel(device: torch.device) -> bool:
