@@ -67,46 +67,44 @@ KINDS = [
 SUMMING = (IdealPdActuatorCfg, DcMotorActuatorCfg, EnvelopedPdActuatorCfg)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("lag", [1, 3])
-def test_a_constant_lag_shifts_the_set_points_by_exactly_that_many_substeps(kind: type[ActuatorCfg], lag: int) -> None:
-  actuators = make(delayed(kind, delay_min_lag=lag, delay_max_lag=lag))
-  reset(actuators, -1.0)
-  unit = 3.0 if kind in SUMMING else 1.0
-  got = [step(actuators, float(k))[0, 0].item() for k in range(8)]
-  assert got == [unit * (k - lag if k >= lag else -1.0) for k in range(8)]
-
-
 GENERAL: dict[str, Any] = {"target_names_expr": (".*",), "gain_prm": (2.0,)}
 MOTOR: dict[str, Any] = {"target_names_expr": (".*",), "torque_constant": 1.0, "resistance": 1.0}
-GAINS: dict[str, Any] = {"stiffness": 1.0, "damping": 1.0}
 EVERY_INPUT = ("position_target", "velocity_target", "effort_target")
 
 
+@pytest.mark.parametrize("lag", [1, 3])
 @pytest.mark.parametrize(
   ("cfg", "fields"),
   [
+    (delayed(NativePositionActuatorCfg), ("position_target",)),
+    (delayed(NativeVelocityActuatorCfg), ("velocity_target",)),
+    (delayed(NativeMotorActuatorCfg), ("effort_target",)),
+    (delayed(XmlActuatorCfg), ("effort_target",)),
+    *((delayed(kind), EVERY_INPUT) for kind in SUMMING),
     *((NativeGeneralActuatorCfg(command_field=field, **GENERAL), (field,)) for field in EVERY_INPUT),
     (NativeMuscleActuatorCfg(target_names_expr=(".*",), length_range=(0.0, 1.0), force=1.0), ("effort_target",)),
     (NativeDcMotorActuatorCfg(**MOTOR), ("effort_target",)),
-    (NativeDcMotorActuatorCfg(inputs=EVERY_INPUT, **MOTOR, **GAINS), EVERY_INPUT),
+    (NativeDcMotorActuatorCfg(inputs=EVERY_INPUT, stiffness=1.0, damping=1.0, **MOTOR), EVERY_INPUT),
     (NativeDcMotorActuatorCfg(inputs=("velocity_target",), damping=1.0, **MOTOR), ("velocity_target",)),
   ],
 )
-def test_every_native_actuator_may_be_late_whatever_drives_it(cfg: ActuatorCfg, fields: tuple[str, ...]) -> None:
-  actuators = make(replace(cfg, delay_min_lag=2, delay_max_lag=2))
-  # Which set-point is whose can be told by its hundreds.
-  base = {field: 100.0 * (k + 1) for k, field in enumerate(EVERY_INPUT)}
+def test_a_constant_lag_shifts_the_targets_by_that_many_substeps(
+  cfg: ActuatorCfg, fields: tuple[str, ...], lag: int
+) -> None:
+  actuators = make(replace(cfg, delay_min_lag=lag, delay_max_lag=lag))
 
   def rows(value: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    position, velocity, effort = (torch.full((WORLDS, 2), base[field] + value, dtype=torch.float64) for field in base)
+    # The hundreds show which target is which.
+    position, velocity, effort = (torch.full((WORLDS, 2), base + value).double() for base in (100.0, 200.0, 300.0))
     return position, velocity, effort
 
   actuators.reset(EVERY, *rows(-1.0))
   zero = torch.zeros(WORLDS, 2, dtype=torch.float64)
-  for k in range(6):
-    served = actuators.compute(*rows(float(k)), zero, zero)[0]
-    assert served.tolist() == [base[field] + (k - 2 if k >= 2 else -1) for _ in range(2) for field in fields]
+  for k in range(8):
+    late = k - lag if k >= lag else -1
+    served = [100.0 * (1 + EVERY_INPUT.index(field)) + late for field in fields]
+    wanted = [sum(served)] if isinstance(cfg, SUMMING) else served
+    assert actuators.compute(*rows(float(k)), zero, zero)[0].tolist() == 2 * wanted
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -210,11 +210,12 @@ def test_a_model_compiled_without_the_actuators_is_refused() -> None:
     actuators.build(mujoco.MjModel.from_xml_string(ARM), num_envs=1, device="cpu", dtype=torch.float64)
 
 
-def test_a_raised_effort_limit_reaches_the_joint() -> None:
-  model, actuators = make(pd(stiffness=100.0, damping=0.0, effort_limit=LIMIT))
+@pytest.mark.parametrize("configured", [LIMIT, None])
+def test_effort_limits_of_each_world_reach_the_joint(configured: float | None) -> None:
+  model, actuators = make(pd(stiffness=100.0, damping=0.0, effort_limit=configured))
   cmd = random_command()
-  (law,) = actuators.groups
-  law.expand("effort_limit")[1] = 1000.0
+  limits = actuators.groups[0].expand("effort_limit")
+  limits[0], limits[1] = LIMIT, 1000.0
   forces = joint_forces(model, actuators.compute(*columns(cmd)), cmd)
   free = (100.0 * (cmd.position_target - cmd.position) + cmd.effort_target).numpy()
   np.testing.assert_allclose(forces[0], np.clip(free[0], -LIMIT, LIMIT))
@@ -249,18 +250,3 @@ def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> N
   assert law.expand("stiffness") is stiffness
   with pytest.raises(ValueError, match=r"parameter 'stifness' does not exist. Nearest: stiffness"):
     law.expand("stifness")
-
-
-def test_expanded_limits_clamp_where_there_was_no_limit() -> None:
-  _, actuators = make(pd())
-  cmd = random_command()
-  actuators.groups[0].expand("effort_limit").fill_(0.01)
-  assert actuators.compute(*columns(cmd)).abs().max() <= 0.01
-
-
-def test_a_law_computes_without_its_set() -> None:
-  cfg = pd(stiffness={"x": 1.0, "y": 2.0}, damping=0.0, delay_max_lag=0)
-  (law,) = build(chain("x", "y"), cfg, num_envs=4)[1].groups
-  cmd = random_command(n=2)
-  expected = torch.tensor([1.0, 2.0]) * (cmd.position_target - cmd.position) + cmd.effort_target
-  torch.testing.assert_close(law.compute(cmd), expected)

@@ -9,10 +9,8 @@ from actuator_models import build
 from mjlab_actuators import (
   NativePositionActuatorCfg,
   gains_from_frequency,
-  radians_per_second,
   reflected_inertia,
   reflected_inertia_of_stages,
-  rotary_to_linear,
 )
 
 
@@ -34,17 +32,6 @@ def test_energy_of_a_geared_rotor_is_that_of_its_reflected_inertia() -> None:
 def test_stages_add_up_and_one_stage_is_the_plain_formula() -> None:
   assert reflected_inertia_of_stages([2.0], [3.0]) == reflected_inertia(2.0, 3.0)
   assert reflected_inertia_of_stages([1.0, 2.0, 5.0], [3.0, 4.0]) == 1.0 * 144 + 2.0 * 16 + 5.0
-
-
-def test_a_lever_keeps_power_and_energy() -> None:
-  linear = rotary_to_linear(inertia=0.01, velocity_limit=30.0, effort_limit=2.0, radius=0.05)
-  assert linear.velocity_limit * linear.effort_limit == pytest.approx(30.0 * 2.0)
-  assert linear.mass * linear.velocity_limit**2 == pytest.approx(0.01 * 30.0**2)
-
-
-def test_sixty_revolutions_a_minute_are_one_turn_a_second() -> None:
-  assert radians_per_second(60.0) == pytest.approx(2 * math.pi)
-  assert radians_per_second(-3000.0) == pytest.approx(-100 * math.pi)
 
 
 @pytest.mark.parametrize("damping_ratio", [0.2, 1.0])
@@ -77,7 +64,5 @@ def test_impossible_numbers_are_refused() -> None:
     gains_from_frequency(-1.0, 10.0, 1.0)
   with pytest.raises(ValueError, match="gear_ratio must be a number"):
     reflected_inertia(1.0, math.nan)
-  with pytest.raises(ValueError, match="radius must be positive"):
-    rotary_to_linear(1.0, 1.0, 1.0, 0.0)
   with pytest.raises(ValueError, match="3 inertias need 3 or 2 gear ratios, not 1"):
     reflected_inertia_of_stages([1.0, 1.0, 1.0], [2.0])

@@ -1,21 +1,24 @@
 """A scene in a simulation, in one call."""
 
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, Literal
 
-import mujoco
 import pytest
 import torch
 from mjlab_scene import EntityCfg, Scene, SceneCfg
 from mjlab_sim import Simulation, SimulationCfg
 
-Worlds = tuple[Scene, Simulation]
-MakeWorlds = Callable[..., Worlds]
+# The tests share a module.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from scene_models import MakeWorlds, entity
 
 
 @pytest.fixture
 def make_worlds() -> Iterator[MakeWorlds]:
-  """Builds a scene of entities, given as MJCF or EntityCfg, and its simulation."""
+  """Build a scene of entities, given as MJCF or EntityCfg, and its simulation."""
   opened: list[Simulation] = []
 
   def make(
@@ -27,15 +30,8 @@ def make_worlds() -> Iterator[MakeWorlds]:
     **entities: EntityCfg | str,
   ):
     if cfg is None:
-      cfg = SceneCfg(
-        num_envs=num_envs,
-        entities={
-          name: EntityCfg(spec_fn=lambda text=entity: mujoco.MjSpec.from_string(text))
-          if isinstance(entity, str)
-          else entity
-          for name, entity in entities.items()
-        },
-      )
+      built = {name: entity(given) if isinstance(given, str) else given for name, given in entities.items()}
+      cfg = SceneCfg(num_envs=num_envs, entities=built)
     scene = Scene(cfg)
     sim_cfg = SimulationCfg(engine=engine, timestep=0.002, num_threads=1, **(sizes or {}))
     sim = Simulation(cfg.num_envs, scene.spec, sim_cfg, device="cpu")

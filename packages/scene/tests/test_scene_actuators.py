@@ -1,6 +1,6 @@
 """Every kind of actuator in one entity, on both engines."""
 
-from collections.abc import Callable
+import json
 from pathlib import Path
 from typing import Any
 
@@ -24,24 +24,9 @@ from mjlab_actuators import (
   XmlActuatorCfg,
 )
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene, SceneCfg
-from mjlab_sim import Simulation
+from scene_models import MakeWorlds, entity
 
-MakeWorlds = Callable[..., tuple[Scene, Simulation]]
-
-KINDS = (
-  "xml",
-  "servo",
-  "native_pd",
-  "speed",
-  "torque",
-  "muscle",
-  "general",
-  "native_dc",
-  "pd",
-  "dc",
-  "envelope",
-  "network",
-)
+KINDS = "xml servo native_pd speed torque muscle general native_dc pd dc envelope network".split()
 
 
 def hand() -> mujoco.MjSpec:
@@ -171,17 +156,28 @@ RESTING: dict[str, tuple[ActuatorCfg, str, list[float]]] = {
 def test_controls_of_the_keyframe_hold_the_initial_pose_whatever_the_gear(kind: str) -> None:
   """One number per input, so that actuators behind one with several keep theirs."""
   cfg, own, expected = RESTING[kind]
-  xml = GEARED.format(f"<actuator>{own}</actuator>")
   other = NativePositionActuatorCfg(target_names_expr=("k",), stiffness=50.0, damping=4.0)
-  entity = EntityCfg(
-    spec_fn=lambda: mujoco.MjSpec.from_string(xml),
+  arm = entity(
+    GEARED.format(f"<actuator>{own}</actuator>"),
     articulation=EntityArticulationCfg(actuators=(cfg, other)),
     init_state=InitialStateCfg(joint_pos={"j": 0.5, "k": -0.3}),
   )
-  model = Scene(SceneCfg(entities={"arm": entity})).spec.compile()
+  model = Scene(SceneCfg(entities={"arm": arm})).spec.compile()
   assert model.key_ctrl[0].tolist() == [*expected, -0.3]
   data = mujoco.MjData(model)
   mujoco.mj_resetDataKeyframe(model, data, 0)
   for _ in range(500):
     mujoco.mj_step(model, data)
   assert data.qpos.tolist() == pytest.approx([0.5, -0.3], abs=1e-9)
+
+
+def test_an_overlay_limits_single_joints_of_a_config_without_limits(tmp_path: Path) -> None:
+  values = {"effort_limit": {"j": 3.0}, "stiffness": {"k": 7.0}}
+  (tmp_path / "identified.json").write_text(json.dumps({"format": "mjlab overlay 1", "actuators": values}))
+  servos = NativePositionActuatorCfg(target_names_expr=(".*",), stiffness=50.0, damping=4.0)
+  articulation = EntityArticulationCfg(actuators=(servos,))
+  arm = entity(GEARED.format(""), articulation=articulation, overlay=str(tmp_path / "identified.json"))
+  model = arm.build("arm").spec.compile()
+  assert model.actuator_forcelimited.tolist() == [1, 0]
+  assert model.actuator_forcerange[0].tolist() == [-3.0, 3.0]
+  assert model.actuator_gainprm[:, 0].tolist() == [50.0, 7.0]

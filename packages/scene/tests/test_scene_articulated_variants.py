@@ -12,6 +12,7 @@ from mjlab_core.errors import MjlabError
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntityCfg
 from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
+from scene_models import MakeWorlds, entity
 
 # Boxes and meshes collide with the ground only: between them, collisions take long to compile.
 ROUND, FLAT = '<default><geom contype="3" conaffinity="2"/></default>', 'contype="1" conaffinity="0"'
@@ -39,7 +40,6 @@ ROBOTS = {
 # The hand of the one is on the upper arm, that of the other on the forearm: give each a name of its own.
 ROBOTS["long"] = ROBOTS["long"].replace('"hand"', '"gripper"').replace('"tip"', '"grip"')
 START = InitialStateCfg(pos=(0.0, 0.0, 0.25), rot=(0.98, 0.1, 0.1, 0.14), joint_pos={"shoulder": 0.2})
-Make = Callable[..., tuple[Scene, Simulation]]
 
 
 def spec(xml: str) -> Callable[[], mujoco.MjSpec]:
@@ -54,7 +54,7 @@ def motors(joints: tuple[str, ...]) -> EntityArticulationCfg:
 
 
 @pytest.fixture
-def make(make_worlds: Make) -> Make:
+def make(make_worlds: MakeWorlds) -> MakeWorlds:
   def build(entity: EntityCfg, num_envs: int = 1, engine: str = "native") -> tuple[Scene, Simulation]:
     cfg = SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"robot": entity}, env_spacing=0.0)
     return make_worlds(engine=engine, cfg=cfg, sizes={"nconmax": 32, "njmax": 160})
@@ -81,7 +81,7 @@ def drive(scene: Scene, sim: Simulation, steps: int) -> None:
     sim.step()
 
 
-def test_each_world_has_the_constants_of_its_own_robot(make: Make) -> None:
+def test_each_world_has_the_constants_of_its_own_robot(make: MakeWorlds) -> None:
   scene, sim = make(robots(), 3)
   robot = scene["robot"]
   assert robot.joint_names == ("shoulder", "elbow")
@@ -108,12 +108,12 @@ def test_each_world_has_the_constants_of_its_own_robot(make: Make) -> None:
         np.testing.assert_allclose(getattr(model, field)[here.id], getattr(alone, field)[index], atol=1e-9)
 
 
-def test_each_robot_moves_as_it_would_alone_and_joints_that_it_lacks_rest(make: Make) -> None:
+def test_each_robot_moves_as_it_would_alone_and_joints_that_it_lacks_rest(make: MakeWorlds) -> None:
   scene, sim = make(robots(), 3)
   drive(scene, sim, 300)
   assert torch.equal(sim.data.qpos[0], sim.data.qpos[2])
   for world, (name, joints) in enumerate((("long", ("elbow",)), ("short", ()))):
-    alone, own = make(EntityCfg(spec_fn=spec(ROBOTS[name]), init_state=START, articulation=motors(joints)))
+    alone, own = make(entity(ROBOTS[name], init_state=START, articulation=motors(joints)))
     drive(alone, own, 300)
     columns = own.data.qpos.shape[1]
     torch.testing.assert_close(sim.data.qpos[world, :columns], own.data.qpos[0], rtol=0.0, atol=1e-5)
@@ -121,7 +121,7 @@ def test_each_robot_moves_as_it_would_alone_and_joints_that_it_lacks_rest(make: 
   assert sim.data.qpos[1, 8].abs() < 1e-3
 
 
-def test_drawers_of_other_lengths_have_their_own_limits(make: Make) -> None:
+def test_drawers_of_other_lengths_have_their_own_limits(make: MakeWorlds) -> None:
   def drawer(depth: float) -> Callable[[], mujoco.MjSpec]:
     return spec(
       f"""<mujoco><worldbody><body name="cabinet" pos="0 0 .5"><geom name="case" type="box" size="{depth} .3 .4"/>
@@ -143,7 +143,7 @@ def test_drawers_of_other_lengths_have_their_own_limits(make: Make) -> None:
 
 
 @pytest.mark.warp
-def test_engines_agree_on_worlds_with_different_robots(make: Make) -> None:
+def test_engines_agree_on_worlds_with_different_robots(make: MakeWorlds) -> None:
   both = [make(robots(), 3, engine) for engine in ("native", "warp")]
   for scene, sim in both:
     drive(scene, sim, 60)
@@ -151,7 +151,7 @@ def test_engines_agree_on_worlds_with_different_robots(make: Make) -> None:
   torch.testing.assert_close(warp, native, rtol=0.0, atol=5e-3)
 
 
-def test_the_assignment_is_part_of_the_saved_state(make: Make) -> None:
+def test_the_assignment_is_part_of_the_saved_state(make: MakeWorlds) -> None:
   scene, sim = make(robots(), 3)
   saved = scene.state_dict(), sim.state_dict()
   other, theirs = make(robots(assignment=("short", "long", "short")), 3)

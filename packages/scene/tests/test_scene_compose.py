@@ -1,6 +1,5 @@
 """Entities, terrain and sensors in one model."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,8 @@ import torch
 from mjlab_core import UnknownNameError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg
 from mjlab_sensors import BuiltinSensorCfg
-from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg, TerrainGridCfg, WavesCfg
-
-MakeWorlds = Callable[..., tuple[Scene, Simulation]]
+from scene_models import MakeWorlds
 
 WALKER = """
 <mujoco>

@@ -20,6 +20,7 @@ from mjlab_scene import (
   SpecEdit,
   TextureCfg,
 )
+from scene_models import entity
 
 ROBOT = """
 <mujoco>
@@ -41,8 +42,7 @@ ROBOT = """
 
 
 def scene(*edits: SpecEdit, of_scene: tuple[SpecEdit, ...] = ()) -> Scene:
-  robot = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(ROBOT), edits=edits)
-  return Scene(SceneCfg(entities={"robot": robot}, edits=of_scene))
+  return Scene(SceneCfg(entities={"robot": entity(ROBOT, edits=edits)}, edits=of_scene))
 
 
 def compiled(*edits: SpecEdit, of_scene: tuple[SpecEdit, ...] = ()) -> mujoco.MjModel:

@@ -2,16 +2,14 @@
 
 from collections.abc import Callable
 
-import mujoco
 import pytest
 import torch
 from mjlab_actuators import NativePositionActuatorCfg
-from mjlab_scene import EntityArticulationCfg, EntityCfg, EntityData, Scene, SceneCfg
+from mjlab_scene import EntityArticulationCfg, EntityData, Scene, SceneCfg
 from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
+from scene_models import MakeWorlds, entity
 from torch.utils._python_dispatch import TorchDispatchMode
-
-MakeWorlds = Callable[..., tuple[Scene, Simulation]]
 
 LEG = """
 <mujoco>
@@ -32,12 +30,8 @@ LEG = """
 
 def scene_cfg(num_envs: int = 2) -> SceneCfg:
   servo = NativePositionActuatorCfg(target_names_expr=(".*",), stiffness=20.0, damping=1.0)
-  robot = EntityCfg(
-    spec_fn=lambda: mujoco.MjSpec.from_string(LEG), articulation=EntityArticulationCfg(actuators=(servo,))
-  )
-  post = EntityCfg(
-    spec_fn=lambda: mujoco.MjSpec.from_string('<mujoco><worldbody><geom name="post" size=".1"/></worldbody></mujoco>')
-  )
+  robot = entity(LEG, articulation=EntityArticulationCfg(actuators=(servo,)))
+  post = entity('<mujoco><worldbody><geom name="post" size=".1"/></worldbody></mujoco>')
   return SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"robot": robot, "post": post})
 
 
@@ -73,9 +67,9 @@ def test_both_engines_agree_on_every_quantity(make_worlds: MakeWorlds) -> None:
   ]
   # Those of the acceleration stage of a world that was just reset are the engine's own affair.
   acceleration = {"joint_acc", "actuator_force", "qfrc_actuator"}
-  for entity in ("robot", "post"):
+  for part in ("robot", "post"):
     for name in names:
-      expected, actual = (getattr(scene[entity].data, name) for scene, _ in (native, warp))
+      expected, actual = (getattr(scene[part].data, name) for scene, _ in (native, warp))
       rows = slice(1, None) if name in acceleration else slice(None)
       torch.testing.assert_close(
         actual[rows].double(), expected[rows], rtol=2e-4, atol=2e-4, msg=lambda m, n=name: f"{n}: {m}"
@@ -83,9 +77,7 @@ def test_both_engines_agree_on_every_quantity(make_worlds: MakeWorlds) -> None:
 
 
 class _Count(TorchDispatchMode):
-  def __init__(self) -> None:
-    super().__init__()
-    self.count = 0
+  count = 0
 
   def __torch_dispatch__(self, func, types, args=(), kwargs=None):
     if not func.is_view:

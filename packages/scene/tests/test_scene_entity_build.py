@@ -7,6 +7,7 @@ import pytest
 from mjlab_actuators import XmlActuatorCfg
 from mjlab_core.errors import MjlabError, UnknownNameError
 from mjlab_scene import CollisionCfg, Entity, EntityArticulationCfg, EntityCfg, InitialStateCfg
+from scene_models import entity
 
 ARM = """
 <mujoco>
@@ -30,7 +31,7 @@ NECK = '<mujoco><worldbody><body><joint name="neck" type="ball"/><geom size=".1"
 
 
 def build(text: str = ARM, name: str = "robot", **kwargs: Any) -> Entity:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs).build(name)
+  return entity(text, **kwargs).build(name)
 
 
 def geom(entity: Entity, name: str) -> mujoco.MjsGeom:

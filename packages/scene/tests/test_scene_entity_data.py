@@ -2,15 +2,14 @@
 
 import inspect
 import re
-from collections.abc import Callable
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_scene import EntityArticulationCfg, EntityCfg, EntityData, InitialStateCfg, Scene
+from mjlab_scene import EntityArticulationCfg, EntityData, InitialStateCfg, Scene
 from mjlab_sim import Simulation
+from scene_models import MakeWorlds, entity
 
 # The free joint is not the first, one joint is a ball, and geoms and sites are turned against their bodies.
 EVERYTHING = """
@@ -43,15 +42,11 @@ EVERYTHING = """
 NUM_ENVS = 3
 
 
-def entity_cfg(text: str = EVERYTHING, **kwargs: Any) -> EntityCfg:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)
-
-
 @pytest.fixture
-def moving(make_worlds: Callable[..., tuple[Scene, Simulation]]) -> tuple[Scene, Simulation, list[mujoco.MjData]]:
+def moving(make_worlds: MakeWorlds) -> tuple[Scene, Simulation, list[mujoco.MjData]]:
   """Two such robots in random states, and MuJoCo's own data of each world."""
   articulation = EntityArticulationCfg(soft_joint_pos_limit_factor=0.8)
-  scene, sim = make_worlds(NUM_ENVS, other=entity_cfg(), robot=entity_cfg(articulation=articulation))
+  scene, sim = make_worlds(NUM_ENVS, other=EVERYTHING, robot=entity(EVERYTHING, articulation=articulation))
   generator = torch.Generator().manual_seed(1)
   for field in (sim.data.qvel, sim.data.xfrc_applied, sim.data.ctrl):
     field.copy_(torch.randn(field.shape, generator=generator, dtype=field.dtype))
@@ -96,8 +91,7 @@ def _same(actual: torch.Tensor, expected: np.ndarray | list, quaternion: bool = 
 @pytest.mark.parametrize("name", ["robot", "other"])
 def test_poses_and_velocities_of_all_frames_equal_mujoco_c(moving, name: str) -> None:
   scene, sim, worlds = moving
-  entity = scene[name]
-  data, ids = entity.data, entity.indexing.ids
+  data, ids = scene[name].data, scene[name].indexing.ids
   obj = mujoco.mjtObj
   bodies, geoms, sites = (ids[kind] for kind in ("body", "geom", "site"))
   _same(data.body_link_pos_w, [d.xpos[bodies] for d in worlds])
@@ -119,9 +113,9 @@ def test_poses_and_velocities_of_all_frames_equal_mujoco_c(moving, name: str) ->
 
 
 def test_what_is_saved_does_not_depend_on_the_number_of_worlds(
-  make_worlds: Callable[..., tuple[Scene, Simulation]],
+  make_worlds: MakeWorlds,
 ) -> None:
-  saved = [set(make_worlds(worlds, robot=entity_cfg())[0]["robot"].data.state_dict()) for worlds in range(1, 10)]
+  saved = [set(make_worlds(worlds, robot=EVERYTHING)[0]["robot"].data.state_dict()) for worlds in range(1, 10)]
   assert all(names == saved[0] for names in saved)
 
 
@@ -166,7 +160,7 @@ def test_joint_tendon_and_actuator_quantities_equal_mujoco_c(moving, name: str) 
 
 
 def test_acceleration_stage_quantities_are_those_of_the_substep_just_done(make_worlds) -> None:
-  scene, sim = make_worlds(1, robot=entity_cfg())
+  scene, sim = make_worlds(1, robot=EVERYTHING)
   sim.data.ctrl.fill_(0.7)
   expected = _in_c(sim, 0)
   sim.step()
@@ -188,7 +182,7 @@ def test_limits_are_the_models_and_soft_limits_narrow_them_about_the_middle(movi
 
 
 def test_limits_and_gravity_follow_their_randomisation(make_worlds) -> None:
-  scene, sim = make_worlds(2, robot=entity_cfg())
+  scene, sim = make_worlds(2, robot=EVERYTHING)
   data = scene["robot"].data
   sim.expand_model_fields(["jnt_range", "opt.gravity"])
   hip = sim.mj_model.joint("robot/hip").id
@@ -223,7 +217,7 @@ def _quantities() -> dict[str, str]:
 @pytest.mark.parametrize("fixed", [False, True], ids=["floating", "fixed"])
 def test_every_documented_shape_is_the_real_one(make_worlds, fixed: bool) -> None:
   text = EVERYTHING.replace("<freejoint/>", "") if fixed else EVERYTHING
-  scene, _ = make_worlds(NUM_ENVS, robot=entity_cfg(text, init_state=InitialStateCfg(pos=(0, 0, 1))))
+  scene, _ = make_worlds(NUM_ENVS, robot=entity(text, init_state=InitialStateCfg(pos=(0, 0, 1))))
   sizes = {"num_envs": NUM_ENVS, "num_bodies": 5 if fixed else 4, "num_geoms": 4, "num_sites": 2, "num_tendons": 1}
   sizes |= {"num_actuators": 2, "num_joint_pos": 7, "num_joint_vel": 6, "13 or 7": 7 if fixed else 13}
   quantities = _quantities()
@@ -236,7 +230,7 @@ def test_every_documented_shape_is_the_real_one(make_worlds, fixed: bool) -> Non
 
 
 def test_a_quantity_is_computed_once_for_each_state(make_worlds, monkeypatch: pytest.MonkeyPatch) -> None:
-  scene, sim = make_worlds(2, robot=entity_cfg())
+  scene, sim = make_worlds(2, robot=EVERYTHING)
   data = scene["robot"].data
   first = data.root_link_lin_vel_b
   assert data.root_link_lin_vel_b is first
@@ -248,7 +242,7 @@ def test_a_quantity_is_computed_once_for_each_state(make_worlds, monkeypatch: py
 
 
 def test_derived_quantities_are_right_immediately_after_a_write(make_worlds) -> None:
-  scene, _ = make_worlds(2, robot=entity_cfg())
+  scene, _ = make_worlds(2, robot=EVERYTHING)
   robot = scene["robot"]
   before = robot.data.body_link_pos_w.clone()
   pose = robot.data.root_link_pose_w.clone()

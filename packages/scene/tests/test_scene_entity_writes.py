@@ -1,16 +1,13 @@
 """Writes: the whole batch in, masked worlds written, everything else bit-identical."""
 
-from collections.abc import Callable
 from typing import Any
 
-import mujoco
 import pytest
 import torch
 from mjlab_actuators import IdealPdActuatorCfg, NativePositionActuatorCfg
-from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene
+from mjlab_scene import EntityArticulationCfg, InitialStateCfg
 from mjlab_sim import Simulation
-
-MakeWorlds = Callable[..., tuple[Scene, Simulation]]
+from scene_models import MakeWorlds, entity
 
 FLOATING = """
 <mujoco>
@@ -31,10 +28,6 @@ FIXED = """
   <compiler angle="radian"/></mujoco>
 """
 MASK = torch.tensor([False, True, False])
-
-
-def cfg(text: str, **kwargs: Any) -> EntityCfg:
-  return EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text), **kwargs)
 
 
 def random(*shape: int) -> torch.Tensor:
@@ -123,7 +116,7 @@ def test_quaternions_are_normalised_on_write_and_a_zero_one_is_the_identity(make
 
 def test_default_state_of_ball_hinge_and_slide_joints_round_trips(make_worlds: MakeWorlds) -> None:
   start = InitialStateCfg(joint_pos={"a": 0.1, "b": (0.0, 1.0, 0.0, 0.0), "c": 0.3}, joint_vel={"b": (1.0, 2.0, 3.0)})
-  scene, sim = make_worlds(3, robot=cfg(FLOATING, init_state=start))
+  scene, sim = make_worlds(3, robot=entity(FLOATING, init_state=start))
   data = scene["robot"].data
   sim.data.qpos.add_(0.4)
   scene.write_default_state()
@@ -214,7 +207,7 @@ def servo(**kwargs: Any) -> EntityArticulationCfg:
 
 def test_targets_start_and_reset_at_the_default_pose(make_worlds: MakeWorlds) -> None:
   start = InitialStateCfg(joint_pos={"h": 0.5})
-  scene, sim = make_worlds(3, arm=cfg(FIXED, init_state=start, articulation=servo()))
+  scene, sim = make_worlds(3, arm=entity(FIXED, init_state=start, articulation=servo()))
   arm = scene["arm"]
   assert arm.data.joint_pos_target.tolist() == [[0.5, 0.0]] * 3
   arm.set_joint_position_target(random(3, 2))
@@ -227,7 +220,7 @@ def test_targets_start_and_reset_at_the_default_pose(make_worlds: MakeWorlds) ->
 
 def test_a_delayed_robot_holds_its_default_pose_after_a_reset(make_worlds: MakeWorlds) -> None:
   start = InitialStateCfg(joint_pos={"h": 0.5})
-  scene, sim = make_worlds(2, arm=cfg(FIXED, init_state=start, articulation=servo(delay_min_lag=2, delay_max_lag=2)))
+  scene, sim = make_worlds(2, arm=entity(FIXED, init_state=start, articulation=servo(delay_min_lag=2, delay_max_lag=2)))
   arm = scene["arm"]
   arm.set_joint_position_target(torch.full((2, 2), 0.9, dtype=torch.float64))
   seen = []
@@ -239,7 +232,7 @@ def test_a_delayed_robot_holds_its_default_pose_after_a_reset(make_worlds: MakeW
 
 
 def test_controls_are_written_once_while_no_set_point_changes_and_again_after_a_reset(make_worlds: MakeWorlds) -> None:
-  scene, sim = make_worlds(2, arm=cfg(FIXED, articulation=servo()))
+  scene, sim = make_worlds(2, arm=entity(FIXED, articulation=servo()))
   scene["arm"].set_joint_position_target(random(2, 2))
   scene.write_ctrl()
   version = sim.data.ctrl._version
@@ -255,7 +248,7 @@ def test_controls_are_written_once_while_no_set_point_changes_and_again_after_a_
 
 def test_feedback_laws_are_computed_in_every_substep(make_worlds: MakeWorlds) -> None:
   law = IdealPdActuatorCfg(target_names_expr=(".*",), stiffness=10.0, damping=0.0, effort_limit=100.0)
-  scene, sim = make_worlds(2, arm=cfg(FIXED, articulation=EntityArticulationCfg(actuators=(law,))))
+  scene, sim = make_worlds(2, arm=entity(FIXED, articulation=EntityArticulationCfg(actuators=(law,))))
   arm = scene["arm"]
   arm.set_joint_position_target(random(2, 2))
   for _ in range(3):
@@ -265,7 +258,7 @@ def test_feedback_laws_are_computed_in_every_substep(make_worlds: MakeWorlds) ->
 
 
 def test_actuators_drive_the_scalar_joints_of_a_robot_with_a_ball_joint(make_worlds: MakeWorlds) -> None:
-  scene, sim = make_worlds(1, robot=cfg(FLOATING, articulation=servo()))
+  scene, sim = make_worlds(1, robot=entity(FLOATING, articulation=servo()))
   scene["robot"].set_joint_position_target(torch.tensor([[0.1, 1.0, 0, 0, 0, 0.3]], dtype=torch.float64))
   scene.write_ctrl()
   assert sim.data.ctrl.tolist() == [[0.1, 0.3]]

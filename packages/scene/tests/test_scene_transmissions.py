@@ -1,6 +1,5 @@
 """All tiers of actuators on joints, tendons and sites of one entity."""
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -14,11 +13,8 @@ from mjlab_actuators import (
   NativePositionActuatorCfg,
   XmlActuatorCfg,
 )
-from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, Scene
-from mjlab_sim import Simulation
-
-MakeWorlds = Callable[..., tuple[Scene, Simulation]]
-
+from mjlab_scene import EntityArticulationCfg, InitialStateCfg
+from scene_models import MakeWorlds, entity
 
 FINGERS = "".join(
   f'<body pos="0 {k} 0"><joint name="{name}" axis="0 1 0" damping="0.1" armature="0.002" ref="10"/>'
@@ -132,8 +128,7 @@ def in_c(model: mujoco.MjModel, world: int, substeps: int) -> np.ndarray:
 def test_all_tiers_on_all_transmissions_move_one_robot_as_mujoco_c_does(
   make_worlds: MakeWorlds, engine: str, tolerance: float
 ) -> None:
-  articulation = EntityArticulationCfg(actuators=all_transmissions())
-  cfg = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(CRANE), articulation=articulation)
+  cfg = entity(CRANE, articulation=EntityArticulationCfg(actuators=all_transmissions()))
   scene, sim = make_worlds(2, engine, robot=cfg)
   robot = scene["robot"]
   for substep in range(SUBSTEPS):
@@ -154,8 +149,8 @@ def test_a_fresh_world_holds_its_default_pose_and_lengths_until_it_is_told_other
   make_worlds: MakeWorlds, lag: int
 ) -> None:
   late: dict[str, Any] = {"delay_min_lag": lag, "delay_max_lag": lag}
-  cfg = EntityCfg(
-    spec_fn=lambda: mujoco.MjSpec.from_string(CRANE),
+  cfg = entity(
+    CRANE,
     init_state=InitialStateCfg(joint_pos={"[ab]": 0.4, "c": -0.3}),
     articulation=EntityArticulationCfg(
       actuators=(
@@ -198,10 +193,8 @@ def test_a_fresh_world_holds_its_default_pose_and_lengths_until_it_is_told_other
 
 
 def test_set_points_of_what_nothing_drives_are_refused_by_name(make_worlds: MakeWorlds) -> None:
-  cfg = EntityCfg(
-    spec_fn=lambda: mujoco.MjSpec.from_string(CRANE),
-    articulation=EntityArticulationCfg(actuators=(NativeMotorActuatorCfg(target_names_expr=("a",)),)),
-  )
+  motor = NativeMotorActuatorCfg(target_names_expr=("a",))
+  cfg = entity(CRANE, articulation=EntityArticulationCfg(actuators=(motor,)))
   scene, _ = make_worlds(2, robot=cfg, plain=CRANE)
   for name in ("robot", "plain"):
     with pytest.raises(ValueError, match=f"entity '{name}': tendon position target: no actuator config drives a"):
@@ -211,8 +204,7 @@ def test_set_points_of_what_nothing_drives_are_refused_by_name(make_worlds: Make
 
 
 def test_set_points_of_chosen_tendons_reach_masked_worlds_only(make_worlds: MakeWorlds) -> None:
-  articulation = EntityArticulationCfg(actuators=all_transmissions())
-  cfg = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(CRANE), articulation=articulation)
+  cfg = entity(CRANE, articulation=EntityArticulationCfg(actuators=all_transmissions()))
   scene, _ = make_worlds(2, robot=cfg)
   robot = scene["robot"]
   ids, names = robot.find_tendons(("servo", "xml"), preserve_order=True)

@@ -14,6 +14,7 @@ from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEnti
 from mjlab_scene.variants import assign
 from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
+from scene_models import MakeWorlds
 
 BALL = '<geom name="shell" size=".06" mass=".4" friction=".9 .02 .001" condim="6"/>'
 CRATE = """<geom name="side" type="box" size=".05 .08 .1" mass="1.2" pos=".02 0 .01"/>
@@ -34,12 +35,11 @@ SOLID: dict[str, Callable[[], mujoco.MjSpec]] = {
   "wedge": spec_of(WEDGE),
 }
 OBJECTS: dict[str, Callable[[], mujoco.MjSpec] | None] = {**SOLID, "nothing": None}
-Make = Callable[..., tuple[Scene, Simulation]]
 START = InitialStateCfg(pos=(0.0, 0.0, 0.3), rot=(0.96, 0.2, 0.1, 0.14), lin_vel=(0.2, 0.0, 0.0))
 
 
 @pytest.fixture
-def make(make_worlds: Make) -> Make:
+def make(make_worlds: MakeWorlds) -> MakeWorlds:
   def build(entity: EntityCfg, engine: str = "native", num_envs: int = 4) -> tuple[Scene, Simulation]:
     cfg = SceneCfg(num_envs=num_envs, terrain=PlaneCfg(), entities={"thing": entity}, env_spacing=0.0)
     return make_worlds(engine=engine, cfg=cfg, sizes={"nconmax": 16, "njmax": 64})

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from mjlab_scene import EntityCfg, Scene, SceneCfg
+from mjlab_scene import Scene, SceneCfg
 from mjlab_terrain import PlaneCfg
+from scene_models import entity
 
 CUBE = "\n".join(
   [f"v {x} {y} {z}" for x in (0, 1) for y in (0, 1) for z in (0, 1)]
@@ -21,8 +22,7 @@ def scene(folder: Path) -> Scene:
   <mujoco><asset><mesh name="cube" file="{folder / "cube.obj"}"/></asset>
     <worldbody><body name="box"><freejoint/><geom type="mesh" mesh="cube"/></body></worldbody>
   </mujoco>"""
-  entity = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(text))
-  return Scene(SceneCfg(terrain=PlaneCfg(), entities={"box": entity}))
+  return Scene(SceneCfg(terrain=PlaneCfg(), entities={"box": entity(text)}))
 
 
 def test_a_written_scene_is_the_same_model_and_the_scene_stays(tmp_path: Path) -> None:

@@ -9,13 +9,10 @@ from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPd
 from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
 from mjlab_actuators.learned_mlp import LearnedMlp, LearnedMlpActuatorCfg
 from mjlab_actuators.motor_design import (
-  LinearMotor,
   PdGains,
   gains_from_frequency,
-  radians_per_second,
   reflected_inertia,
   reflected_inertia_of_stages,
-  rotary_to_linear,
 )
 from mjlab_actuators.native import (
   NativeMotorActuatorCfg,
@@ -50,7 +47,6 @@ __all__ = [
   "IdealPdActuatorCfg",
   "LearnedMlp",
   "LearnedMlpActuatorCfg",
-  "LinearMotor",
   "NativeDcMotorActuatorCfg",
   "NativeGeneralActuatorCfg",
   "NativeMotorActuatorCfg",
@@ -71,9 +67,7 @@ __all__ = [
   "clip_to_dc_motor",
   "command_fields_of",
   "gains_from_frequency",
-  "radians_per_second",
   "reflected_inertia",
   "reflected_inertia_of_stages",
-  "rotary_to_linear",
   "targets_of",
 ]

@@ -8,12 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mjlab_core import MjlabError, NonNegative, Positive, check_value
-
-
-def radians_per_second(rpm: float) -> float:
-  """Return the angular speed of a number of revolutions per minute, the unit of data sheets: 2 pi / 60 rpm [rad/s]."""
-  return 2.0 * math.pi / 60.0 * rpm
+from mjlab_core import MjlabError, NonNegative, check_value
 
 
 class PdGains(NamedTuple):
@@ -23,17 +18,6 @@ class PdGains(NamedTuple):
   """Position gain kp [N/m or N m/rad]."""
   damping: float
   """Velocity gain kd [N s/m or N m s/rad]."""
-
-
-class LinearMotor(NamedTuple):
-  """Rotary motor behind a rack or crank of constant radius."""
-
-  mass: float
-  """Apparent mass [kg]."""
-  velocity_limit: float
-  """Top speed [m/s]."""
-  effort_limit: float
-  """Largest force [N]."""
 
 
 def gains_from_frequency(inertia: float, natural_frequency: float, damping_ratio: float) -> PdGains:
@@ -86,19 +70,6 @@ def reflected_inertia_of_stages(inertias: Sequence[float], gear_ratios: Sequence
   for index, inertia in enumerate(inertias):
     total += reflected_inertia(inertia, math.prod(gear_ratios[index:]))
   return total
-
-
-def rotary_to_linear(inertia: float, velocity_limit: float, effort_limit: float, radius: float) -> LinearMotor:
-  """Return a rotary motor seen through a lever arm of `radius` metres per radian: J / r^2, w r, tau / r.
-
-  Speed is v = w r, and the lever keeps power and kinetic energy: F v = tau w, m v^2 = J w^2.
-
-  Raises:
-    MjlabError: An argument is negative or not finite, or the radius is zero.
-  """
-  _require_non_negative(inertia=inertia, velocity_limit=velocity_limit, effort_limit=effort_limit)
-  check_value("radius", radius, Positive)
-  return LinearMotor(inertia / radius**2, velocity_limit * radius, effort_limit / radius)
 
 
 def _require_non_negative(**values: float) -> None:

@@ -86,13 +86,13 @@ class Actuation(Stateful):
     targets = actuators.targets
     joints = [target for target in targets if target.transmission == "joint"]
     self._drives_others = len(joints) < len(targets)
+    every = [Target(kind, name) for kind in get_args(Transmission) for name in names[kind]]
 
     def index(of_joint: Sequence[range], chosen: Sequence[Target]) -> Index:
       """Return the columns of targets, if joints have the columns `of_joint` and tendons and sites follow."""
-      others = [Target(kind, name) for kind in ("tendon", "site") for name in names[kind]]
-      columns = {of: start for start, of in enumerate(others, sum(map(len, of_joint)))}
-      columns |= {Target("joint", name): own[0] for name, own in zip(names["joint"], of_joint, strict=True)}
-      return as_index([columns[target] for target in chosen], sim.device)
+      width = sum(map(len, of_joint))
+      starts = [*(own[0] for own in of_joint), *range(width, width + len(every) - len(of_joint))]
+      return as_index([starts[every.index(target)] for target in chosen], sim.device)
 
     self._q_targets, self._v_targets = index(indexing.q_of_joint, targets), index(indexing.v_of_joint, targets)
     self._q, self._v = index(indexing.qpos_of_joint, joints), index(indexing.qvel_of_joint, joints)

@@ -101,6 +101,9 @@ class MaterialCfg(SpecEdit):
   texrepeat: Annotated[tuple[float, float], Limits(gt=0)] | None = None
   texuniform: bool | None = None
   """True: `texrepeat` counts per metre, not per geom."""
+  emission: NonNegative | None = None
+  specular: Share | None = None
+  shininess: Share | None = None
   reflectance: Share | None = None
   geoms: str | tuple[str, ...] | None = None
   """Patterns of geoms that get it; each must match one. The colour of the material replaces their own."""
@@ -124,6 +127,8 @@ class MeshCfg(SpecEdit):
   maxhullvert: Literal[-1] | Annotated[int, Limits(ge=4)] | None = None
   """Maximum number of vertices of the convex hull that collides; -1 for no limit, else at least 4."""
   scale: Annotated[tuple[float, float, float], Limits(nonzero=True)] | None = None
+  inertia: Literal["convex", "exact", "legacy", "shell"] | None = None
+  """Method of computing the inertia of bodies without one."""
 
   def apply(self, spec: mujoco.MjSpec, owner: str) -> None:
     for mesh in _matched(spec.meshes, self.names, "mesh", owner):

@@ -1,5 +1,6 @@
 """State that an entity starts in: configured, read from its spec, and joined to the keyframe of a scene."""
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -204,36 +205,32 @@ def add_init_state(spec: mujoco.MjSpec, states: Mapping[str, InitialState]) -> N
     spec: The scene; edited.
     states: Initial states by the prefix of the entity's names.
   """
-  key: dict[str, list[float]] = {name: [] for name in ("qpos", "qvel", "mpos", "mquat", "ctrl")}
-
-  def add(**numbers: Sequence[float] | np.ndarray) -> None:
-    for name, values in numbers.items():
-      key[name].extend(values)
-
+  key: dict[str, list[float]] = defaultdict(list)
   for joint in spec.joints:
     name, state = _state_of(joint.name, states)
-    if joint.type == _FREE and state is not None:
-      into_body, angular = np.zeros(4), np.zeros(3)
-      mujoco.mju_negQuat(into_body, state.root_pose[3:])
-      mujoco.mju_rotVecQuat(angular, state.root_velocity[3:], into_body)
-      add(qpos=state.root_pose, qvel=[*state.root_velocity[:3], *angular])
-    elif joint.type == _FREE:
-      add(qpos=[*joint.parent.pos, *joint.parent.quat], qvel=np.zeros(6))
+    if joint.type == _FREE:
+      qpos, qvel = [*joint.parent.pos, *joint.parent.quat] if state is None else state.root_pose, np.zeros(6)
+      if state is not None:
+        into_body = np.zeros(4)
+        mujoco.mju_negQuat(into_body, state.root_pose[3:])
+        qvel[:3] = state.root_velocity[:3]
+        mujoco.mju_rotVecQuat(qvel[3:], state.root_velocity[3:], into_body)
     elif state is not None:
-      add(qpos=state.joint_pos[name], qvel=state.joint_vel[name])
-    elif joint.type == mujoco.mjtJoint.mjJNT_BALL:
-      add(qpos=_IDENTITY, qvel=np.zeros(3))
+      qpos, qvel = state.joint_pos[name], state.joint_vel[name]
     else:
-      add(qpos=[0.0], qvel=[0.0])
+      qpos, qvel = (_IDENTITY, np.zeros(3)) if joint.type == mujoco.mjtJoint.mjJNT_BALL else ([0.0], [0.0])
+    key["qpos"] += [*qpos]
+    key["qvel"] += [*qvel]
   for body in spec.bodies:
     if body.mocap:
       name, state = _state_of(body.name, states)
       pose = state.root_pose if state is not None and state.root == name else [*body.pos, *body.quat]
-      add(mpos=pose[:3], mquat=pose[3:])
+      key["mpos"] += [*pose[:3]]
+      key["mquat"] += [*pose[3:]]
   for actuator in spec.actuators:
     name, state = _state_of(actuator.name, states)
     # An actuator has an input for each bit, or one if it has no bits.
-    add(ctrl=np.zeros(max(1, int(actuator.ctrlspec).bit_count())) if state is None else state.ctrl[name])
+    key["ctrl"] += [0.0] * max(1, int(actuator.ctrlspec).bit_count()) if state is None else [*state.ctrl[name]]
   spec.add_key(name=INIT_STATE, **key)
 
 
