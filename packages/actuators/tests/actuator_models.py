@@ -16,7 +16,7 @@ def chain(*joints: str, actuators: str = "") -> str:
 def build(
   xml: str, *cfgs: ActuatorCfg, owner: str = "entity 'x'", **options: Any
 ) -> tuple[mujoco.MjModel, ActuatorSet]:
-  """Return the model with the actuators of these configs; one world unless told."""
+  """Return the model with the actuators of these configs; one world by default."""
   spec = mujoco.MjSpec.from_string(xml)
   actuators = ActuatorSet(cfgs, owner)
   actuators.edit_spec(spec)

@@ -1,4 +1,4 @@
-"""Set-points arrive late by exactly the lag, from the pose given at reset on, and worlds do not see each other."""
+"""Targets arrive late by exactly the lag, from the pose given at reset on, and worlds do not see each other."""
 
 from dataclasses import replace
 from typing import Any
@@ -33,7 +33,7 @@ def make(cfg: ActuatorCfg) -> ActuatorSet:
 
 
 def step(actuators: ActuatorSet, value: float) -> torch.Tensor:
-  """All three set-points at `value`, feedback zero."""
+  """All three targets at `value`, feedback zero."""
   target, zero = torch.full((WORLDS, 2), value, dtype=torch.float64), torch.zeros(WORLDS, 2, dtype=torch.float64)
   return actuators.compute(target, target, target, zero, zero).clone()
 
@@ -47,7 +47,7 @@ def delayed(kind: type[ActuatorCfg], **delay: int) -> ActuatorCfg:
   gains = {
     NativePositionActuatorCfg: {"stiffness": 1.0, "damping": 0.0},
     NativeVelocityActuatorCfg: {"damping": 1.0},
-    # Position, velocity and effort targets each count once: these laws return their sum.
+    # Position, velocity and effort targets each count once: these models return their sum.
     IdealPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0},
     DcMotorActuatorCfg: {"stiffness": 1.0, "damping": 1.0, "saturation_effort": 1e3, "velocity_limit": 1.0},
     EnvelopedPdActuatorCfg: {"stiffness": 1.0, "damping": 1.0, "envelope": TorqueSpeedEnvelope(1.0, 2.0, 1e3, 1e3)},
@@ -159,7 +159,7 @@ def test_measurements_are_never_delayed() -> None:
   assert torch.all(actuators.compute(zero, zero, zero, position, velocity) == -0.75)
 
 
-def test_gains_changed_at_reset_act_on_set_points_that_are_still_under_way() -> None:
+def test_gains_changed_at_reset_act_on_delayed_targets() -> None:
   actuators = make(delayed(IdealPdActuatorCfg, delay_min_lag=2, delay_max_lag=2))
   reset(actuators, 1.0)
   actuators.groups[0].expand("stiffness").fill_(10.0)

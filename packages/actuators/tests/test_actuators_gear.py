@@ -27,7 +27,7 @@ ALL = tuple(TARGETS)
 
 
 def pd(*inputs: str) -> float:
-  """Effort at the joint of a PD law with these targets, the others zero."""
+  """Effort at the joint of a PD actuator with these targets, the others zero."""
   target = {name: TARGETS[name] if name in inputs else 0.0 for name in ALL}
   position = KP * (target["position_target"] - Q) if "position_target" in inputs else 0.0
   damping = KD * (target["velocity_target"] - V)
@@ -89,7 +89,7 @@ def ctrl_of(actuators: ActuatorSet, targets: dict[str, float]) -> np.ndarray:
 
 @pytest.mark.parametrize("gear", [1.0, 2.0, -3.0])
 @pytest.mark.parametrize("case", CASES)
-def test_the_effort_at_the_joint_is_the_closed_form_whatever_the_gear(case: str, gear: float) -> None:
+def test_the_effort_at_the_joint_is_the_closed_form_at_any_gear(case: str, gear: float) -> None:
   cfg, own, expected = CASES[case](gear)
   model, actuators = build(chain("j", actuators=own), cfg)
   data = mujoco.MjData(model)

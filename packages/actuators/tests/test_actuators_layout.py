@@ -1,4 +1,4 @@
-"""Every set-point arrives at its own ctrl, whatever the order of configs, elements and joints."""
+"""Every target arrives at its own ctrl, whatever the order of configs, elements and joints."""
 
 import itertools
 from typing import Any
@@ -50,7 +50,7 @@ def expected(kind: str, joint: str) -> float:
 
 @pytest.mark.parametrize("kinds", list(itertools.permutations(["position", "velocity", "motor", "pd"])))
 @pytest.mark.parametrize("lag", [0, 2])
-def test_each_ctrl_gets_the_set_point_of_its_own_joint(kinds: tuple[str, ...], lag: int) -> None:
+def test_each_ctrl_gets_the_target_of_its_joint(kinds: tuple[str, ...], lag: int) -> None:
   assignment = dict(zip(("b", "d", "a", "c"), kinds, strict=True))
   cfgs = [cfg_for(kind, joint, lag=lag) for joint, kind in assignment.items()]
   ctrl = torch.full((2, 4), -1.0, dtype=torch.float64)
@@ -63,7 +63,7 @@ def test_each_ctrl_gets_the_set_point_of_its_own_joint(kinds: tuple[str, ...], l
 
 
 @pytest.mark.parametrize("kind", ["position", "velocity", "motor", "pd"])
-def test_configs_of_one_law_are_one_computation_in_every_order(kind: str) -> None:
+def test_configs_of_one_model_are_one_computation_in_every_order(kind: str) -> None:
   for parts in itertools.permutations([("a", "d"), ("b",), ("c",)]):
     model, actuators = build(CHAIN, *(cfg_for(kind, *joints) for joints in parts), num_envs=2)
     assert len(actuators.groups) == 1
@@ -89,7 +89,7 @@ def test_two_motor_types_may_be_one_config_or_two() -> None:
 def test_different_delays_are_different_computations() -> None:
   cfgs = [cfg_for("pd", "a"), cfg_for("pd", "b", lag=1), cfg_for("pd", "c", "d", lag=1)]
   _, actuators = build(CHAIN, *cfgs, num_envs=2)
-  assert [law.target_names for law in actuators.groups] == [("a",), ("b", "c", "d")]
+  assert [actuator.target_names for actuator in actuators.groups] == [("a",), ("b", "c", "d")]
 
 
 WRAPPED = """
@@ -105,7 +105,7 @@ def wrap(own: str, *cfgs: ActuatorCfg, **options: Any) -> tuple[mujoco.MjModel, 
   return build(chain(*JOINTS, actuators=WRAPPED + own), *cfgs, num_envs=2, **options)
 
 
-def test_wrapped_actuators_take_the_set_point_that_their_law_asks_for() -> None:
+def test_wrapped_actuators_take_the_target_of_their_kind() -> None:
   own = '<intvelocity name="creep" joint="c" kp="2" actrange="-1 1"/>'
   plain = mujoco.MjModel.from_xml_string(chain(*JOINTS, actuators=WRAPPED + own))
   model, actuators = wrap(own, XmlActuatorCfg(target_names_expr=(".*",)))
@@ -122,7 +122,7 @@ def test_wrapped_actuators_take_the_set_point_that_their_law_asks_for() -> None:
     np.testing.assert_array_equal(getattr(model, f"actuator_{field}"), getattr(plain, f"actuator_{field}"))
 
 
-def test_a_pid_with_several_inputs_takes_one_set_point_each() -> None:
+def test_a_pid_with_several_inputs_takes_one_target_each() -> None:
   own = '<pid name="all" joint="c" kp="2" kv="1" input="pos vel ff"/>'
   model, actuators = wrap(own, XmlActuatorCfg(target_names_expr=("c",)))
   assert model.actuator("all").id == 4
@@ -133,7 +133,7 @@ def test_a_pid_with_several_inputs_takes_one_set_point_each() -> None:
 @pytest.mark.parametrize(
   ("inputs", "fields"), [("", [2]), ('input="pos" controller="3"', [0]), ('input="pos vel" controller="3 0 1"', [0, 1])]
 )
-def test_a_dc_motor_of_the_mjcf_takes_its_voltage_or_what_its_controller_follows(
+def test_a_dc_motor_of_the_mjcf_takes_its_voltage_or_the_targets_of_its_controller(
   inputs: str, fields: list[int]
 ) -> None:
   own = f'<dcmotor name="m" joint="c" motorconst="0.5" resistance="2" {inputs}/>'
@@ -155,7 +155,7 @@ def test_a_prefix_and_other_entities_in_the_model_change_nothing() -> None:
   assert actuators.compute(*identifiable(JOINTS))[0].tolist() == wanted
 
 
-def test_wrapping_everything_leaves_added_actuators_to_their_own_config() -> None:
+def test_wrapping_everything_leaves_added_actuators_to_their_config() -> None:
   model, actuators = wrap("", XmlActuatorCfg(target_names_expr=(".*",)), cfg_for("motor", "c"))
   ctrl = actuators.compute(*identifiable(JOINTS))
   assert dict(zip(actuators.ctrl_ids, ctrl[0].tolist(), strict=True))[model.actuator("c").id] == command(2, "c")
@@ -169,7 +169,7 @@ def test_ctrl_that_is_not_driven_is_not_touched() -> None:
   assert ctrl[0].tolist() == [command(2, "d") / 5.0, -7.0, command(0, "a"), -7.0]
 
 
-def test_an_actuator_whose_set_point_cannot_be_told_is_refused_until_it_is_said() -> None:
+def test_an_actuator_of_unknown_target_needs_a_command_field() -> None:
   own = '<damper name="brake" joint="c" kv="1" ctrlrange="0 1"/>'
   with pytest.raises(ValueError, match="which target actuator 'brake' takes"):
     wrap(own, XmlActuatorCfg(target_names_expr=(".*",)))

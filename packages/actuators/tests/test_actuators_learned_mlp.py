@@ -90,7 +90,7 @@ def test_every_joint_of_every_world_is_one_row_of_the_network(tmp_path: Path, sa
 
 
 @pytest.mark.parametrize(("name", "kind"), [("elu", nn.ELU), ("relu", nn.ReLU), ("tanh", nn.Tanh)])
-def test_a_state_dict_wears_the_activation_that_is_said(tmp_path: Path, name: Any, kind: type[nn.Module]) -> None:
+def test_a_state_dict_has_the_configured_activation(tmp_path: Path, name: Any, kind: type[nn.Module]) -> None:
   net = nn.Sequential(nn.Linear(2 * HISTORY, 4), kind(), nn.Linear(4, 1))
   actuators = make(cfg(stored(net, tmp_path / "n.pt"), activation=name))
   sample = samples(1)[0]
@@ -111,7 +111,7 @@ def test_the_output_is_clipped_to_the_torque_speed_line_without_forced_braking(t
   assert make(motor).compute(one, zero, zero, zero, one * speeds)[0].tolist() == pytest.approx([8.0, 2.5, -5.0])
 
 
-def test_a_reset_starts_the_history_anew_and_leaves_other_worlds_bit_identical(tmp_path: Path) -> None:
+def test_a_reset_restarts_the_history_and_leaves_other_worlds_bit_identical(tmp_path: Path) -> None:
   path, mask = stored(network(), tmp_path / "n.pt"), torch.tensor([False, True, False])
   given, after = samples(4), samples(3, seed=1)
   twin, actuators, fresh = (make(cfg(path)) for _ in range(3))
@@ -141,9 +141,9 @@ def test_the_delay_is_before_the_network_and_never_on_measurements(tmp_path: Pat
 def test_configs_of_one_network_are_one_batch_and_other_networks_another(tmp_path: Path) -> None:
   path, other = stored(network(), tmp_path / "n.pt"), stored(network(seed=1), tmp_path / "m.pt")
   whole, parts = make(cfg(path)), make(cfg(path, "c"), cfg(path, "a", "b"))
-  assert [law.target_names for law in parts.groups] == [("a", "b", "c")]
+  assert [actuator.target_names for actuator in parts.groups] == [("a", "b", "c")]
   mixed = make(cfg(path, "a"), cfg(other, "b"), cfg(path, "c"))
-  assert [law.target_names for law in mixed.groups] == [("a", "c"), ("b",)]
+  assert [actuator.target_names for actuator in mixed.groups] == [("a", "c"), ("b",)]
   for sample in samples(3):
     expected = step(whole, sample)
     assert torch.equal(step(parts, sample), expected)
@@ -161,11 +161,11 @@ def test_saved_and_loaded_histories_continue_alike(tmp_path: Path) -> None:
 
 
 def test_a_network_has_no_gains_to_be_changed(tmp_path: Path) -> None:
-  (law,) = make(cfg(stored(network(), tmp_path / "n.pt"))).groups
-  assert isinstance(law, LearnedMlp)
+  (actuator,) = make(cfg(stored(network(), tmp_path / "n.pt"))).groups
+  assert isinstance(actuator, LearnedMlp)
   with pytest.raises(ValueError, match=r"parameter 'stiffness' does not exist.*effort_limit"):
-    law.expand("stiffness")
-  assert not any(parameter.requires_grad for parameter in law.network.parameters())
+    actuator.expand("stiffness")
+  assert not any(parameter.requires_grad for parameter in actuator.network.parameters())
 
 
 def test_a_network_of_another_period_than_the_timestep_is_refused(tmp_path: Path) -> None:

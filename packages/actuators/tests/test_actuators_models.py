@@ -1,4 +1,4 @@
-"""Each law against its closed form, and the native ones against MuJoCo C."""
+"""Each actuator model against its closed form, and the native ones against MuJoCo C."""
 
 from collections.abc import Callable
 from typing import Any
@@ -84,7 +84,7 @@ def speed(**fields: Any) -> ActuatorCfg:
   return NativeVelocityActuatorCfg(**numbers)
 
 
-LAWS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
+MODELS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
   (servo(effort_limit=LIMIT), lambda c: clamped(KP * (c.position_target - c.position) - KD * c.velocity, LIMIT)),
   (servo(), lambda c: (KP * (c.position_target - c.position) - KD * c.velocity).numpy()),
   (speed(effort_limit=0.3), lambda c: clamped(KD * (c.velocity_target - c.velocity), 0.3)),
@@ -99,15 +99,17 @@ LAWS: list[tuple[ActuatorCfg, Callable[[ActuatorCmd], np.ndarray]]] = [
 ]
 
 
-@pytest.mark.parametrize(("cfg", "law"), LAWS, ids=lambda x: type(x).__name__ if isinstance(x, ActuatorCfg) else "")
-def test_mujoco_applies_the_closed_form(cfg: ActuatorCfg, law: Callable[[ActuatorCmd], np.ndarray]) -> None:
+@pytest.mark.parametrize(
+  ("cfg", "closed_form"), MODELS, ids=lambda x: type(x).__name__ if isinstance(x, ActuatorCfg) else ""
+)
+def test_mujoco_applies_the_closed_form(cfg: ActuatorCfg, closed_form: Callable[[ActuatorCmd], np.ndarray]) -> None:
   model, actuators = make(cfg)
   cmd = random_command()
   ctrl = actuators.compute(*columns(cmd))
-  np.testing.assert_allclose(joint_forces(model, ctrl, cmd), law(cmd), rtol=1e-12, atol=1e-12)
+  np.testing.assert_allclose(joint_forces(model, ctrl, cmd), closed_form(cmd), rtol=1e-12, atol=1e-12)
 
 
-def test_set_points_beyond_the_joint_range_are_not_clamped() -> None:
+def test_targets_beyond_the_joint_range_are_not_clamped() -> None:
   model, actuators = make(servo(damping=0.0))
   cmd = random_command()
   cmd.position_target.fill_(50.0)
@@ -123,7 +125,7 @@ def test_the_informational_ctrl_range_is_the_joint_range_widened_to_saturation_i
   np.testing.assert_allclose(model.actuator("c").ctrlrange, [-2.5, 3.5])
 
 
-def test_one_config_gives_each_joint_its_own_numbers() -> None:
+def test_one_config_gives_each_joint_its_numbers() -> None:
   cfg = servo(
     stiffness={"a": 1.0, "[bc]": 2.0},
     damping={"[ab]": 0.1, "c": 0.2},
@@ -226,27 +228,27 @@ def test_effort_limits_of_each_world_reach_the_joint(configured: float | None) -
 @pytest.mark.parametrize("worlds", [1, 2])
 def test_parameters_are_saved_once_they_may_differ_between_worlds(worlds: int) -> None:
   cfg = pd(target_names_expr=("a",), stiffness=1.0, damping=1.0)
-  (law,) = build(chain("a"), cfg, num_envs=worlds)[1].groups
-  assert law.state_dict() == {}
-  law.expand("stiffness")
-  assert set(law.state_dict()) == {"stiffness"}
+  (actuator,) = build(chain("a"), cfg, num_envs=worlds)[1].groups
+  assert actuator.state_dict() == {}
+  actuator.expand("stiffness")
+  assert set(actuator.state_dict()) == {"stiffness"}
 
 
-def test_expanded_gains_act_in_their_own_world_only_and_nominal_ones_stay() -> None:
+def test_expanded_gains_act_in_one_world_and_nominal_ones_stay() -> None:
   _, actuators = make(pd())
   cmd = random_command()
   before = actuators.compute(*columns(cmd)).clone()
-  (law,) = actuators.groups
-  assert isinstance(law, IdealPd)
-  assert law.stiffness.shape == (1, 3)
-  stiffness = law.expand("stiffness")
+  (actuator,) = actuators.groups
+  assert isinstance(actuator, IdealPd)
+  assert actuator.stiffness.shape == (1, 3)
+  stiffness = actuator.expand("stiffness")
   assert stiffness.shape == (4, 3)
   stiffness[2] *= 2.0
   after = actuators.compute(*columns(cmd))
   others = torch.tensor([0, 1, 3])
   assert torch.equal(after[others], before[others])
   torch.testing.assert_close(after[2], before[2] + KP * (cmd.position_target - cmd.position)[2])
-  torch.testing.assert_close(law.nominal("stiffness"), torch.full((1, 3), KP, dtype=torch.float64))
-  assert law.expand("stiffness") is stiffness
+  torch.testing.assert_close(actuator.nominal("stiffness"), torch.full((1, 3), KP, dtype=torch.float64))
+  assert actuator.expand("stiffness") is stiffness
   with pytest.raises(ValueError, match=r"parameter 'stifness' does not exist. Nearest: stiffness"):
-    law.expand("stifness")
+    actuator.expand("stifness")

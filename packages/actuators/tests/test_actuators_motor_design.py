@@ -35,7 +35,7 @@ def test_stages_add_up_and_one_stage_is_the_plain_formula() -> None:
 
 
 @pytest.mark.parametrize("damping_ratio", [0.2, 1.0])
-def test_a_servo_with_these_gains_swings_as_the_second_order_response_says(damping_ratio: float) -> None:
+def test_a_servo_with_these_gains_follows_the_second_order_response(damping_ratio: float) -> None:
   inertia, frequency = 0.02, 2.0
   kp, kd = gains_from_frequency(inertia, frequency, damping_ratio)
   xml = f"""

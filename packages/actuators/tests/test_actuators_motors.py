@@ -42,9 +42,9 @@ def enveloped(envelope: Any = ENVELOPE) -> EnvelopedPdActuatorCfg:
 
 def given(cfg: ActuatorCfg, wanted: float, velocity: float) -> float:
   """The effort that a motor of one joint gives when `wanted` is asked of it at `velocity`."""
-  (law,) = build(chain("x"), cfg)[1].groups
+  (actuator,) = build(chain("x"), cfg)[1].groups
   zero = torch.zeros(1, 1, dtype=torch.float64)
-  return law.compute(ActuatorCmd(zero, zero, zero + wanted, zero, zero + velocity)).item()
+  return actuator.compute(ActuatorCmd(zero, zero, zero + wanted, zero, zero + velocity)).item()
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_without_a_current_limit_the_line_goes_on_against_the_motion() -> None:
   assert given(dc(effort_limit=None, braking=True), 1e3, 2 * NO_LOAD) == pytest.approx(-STALL)
 
 
-def test_mujoco_applies_the_pd_law_within_the_line() -> None:
+def test_mujoco_applies_pd_within_the_line() -> None:
   model, actuators = build(ARM, dc(stiffness={"a": 3.0, "b": 30.0}, damping=0.4), num_envs=64)
   generator = torch.Generator().manual_seed(0)
   target, rate, effort, position, velocity = (
@@ -132,7 +132,7 @@ def test_a_joint_driven_by_a_dc_motor_settles_at_its_no_load_speed() -> None:
   ("velocity", "with_motion", "against"),
   [(1e-6, 4.0, 6.0), (10.0, 4.0, 6.0), (15.0, 2.0, 6.0), (19.0, 0.4, 6.0), (20.0, 0.0, 6.0), (30.0, 0.0, 6.0)],
 )
-def test_an_envelope_tells_driving_from_braking(velocity: float, with_motion: float, against: float) -> None:
+def test_an_envelope_limits_driving_and_braking(velocity: float, with_motion: float, against: float) -> None:
   for sense in (1.0, -1.0):
     assert given(enveloped(), sense * 1e3, sense * velocity) == pytest.approx(sense * with_motion)
     assert given(enveloped(), -sense * 1e3, sense * velocity) == pytest.approx(-sense * against)
@@ -143,7 +143,7 @@ def test_an_envelope_holds_with_its_braking_effort_at_rest() -> None:
   assert given(enveloped(), 1e3, 0.0) == 6.0
 
 
-def test_each_joint_has_its_own_motor() -> None:
+def test_each_joint_has_its_motor() -> None:
   _, actuators = build(
     ARM, enveloped({"a": UNITREE_ENVELOPES["N7520-14.3"], "b": UNITREE_ENVELOPES["W4010-25"]}), num_envs=1
   )
@@ -157,26 +157,26 @@ def test_published_envelopes_build(name: str) -> None:
   build(ARM, enveloped(UNITREE_ENVELOPES[name]))
 
 
-def test_motors_of_one_law_are_one_computation_and_braking_ones_another() -> None:
+def test_motors_of_one_model_are_one_computation_and_braking_ones_another() -> None:
   def one(joint: str, **changes: Any) -> ActuatorCfg:
     cfg = dc(**changes)
     cfg.target_names_expr = (joint,)
     return cfg
 
   _, actuators = build(ARM, one("b", saturation_effort=3.0), one("a"))
-  (law,) = actuators.groups
-  assert law.target_names == ("a", "b")
-  assert law.expand("saturation_effort").tolist() == [[STALL, 3.0]]
+  (actuator,) = actuators.groups
+  assert actuator.target_names == ("a", "b")
+  assert actuator.expand("saturation_effort").tolist() == [[STALL, 3.0]]
   _, actuators = build(ARM, one("b", braking=True), one("a"))
-  assert [law.target_names for law in actuators.groups] == [("b",), ("a",)]
+  assert [actuator.target_names for actuator in actuators.groups] == [("b",), ("a",)]
 
 
 def test_limits_raised_per_world_act_in_that_world_only() -> None:
   model, actuators = build(ARM, dc(), num_envs=2)
-  (law,) = actuators.groups
+  (actuator,) = actuators.groups
   zero = torch.zeros(2, 2, dtype=torch.float64)
   for name in ("effort_limit", "saturation_effort"):
-    law.expand(name)[1] *= 10.0
+    actuator.expand(name)[1] *= 10.0
   ctrl = actuators.compute(zero, zero, zero + 1e3, zero, zero)
   assert ctrl.tolist() == [[LIMIT, LIMIT], [10 * LIMIT, 10 * LIMIT]]
   assert not model.actuator_forcelimited.any()

@@ -36,7 +36,7 @@ def make(*cfgs: ActuatorCfg) -> tuple[mujoco.MjModel, ActuatorSet]:
 
 
 def applied(cfg: ActuatorCfg, **changes: float) -> float:
-  """The effort that MuJoCo applies at joint a, with these set-points and measurements at all joints."""
+  """The effort that MuJoCo applies at joint a, with these targets and measurements at all joints."""
   values = {"target": TARGET, "rate": RATE, "effort": EFFORT, "position": POSITION, "velocity": VELOCITY} | changes
   model, actuators = make(cfg)
   ctrl = actuators.compute(*(torch.full((1, 2), value, dtype=torch.float64) for value in values.values()))
@@ -89,7 +89,7 @@ def test_a_data_sheet_gives_the_stall_torque_and_the_no_load_speed() -> None:
     ),
   ],
 )
-def test_the_controller_of_the_motor_follows_the_set_points_that_it_has(inputs: Any, expected: float) -> None:
+def test_the_controller_of_the_motor_follows_its_targets(inputs: Any, expected: float) -> None:
   assert applied(dc(inputs=inputs, stiffness=3.0, damping=0.2)) == pytest.approx(expected)
   at_most = 0.5 * (1.5 - 0.5 * VELOCITY) / 2.0
   assert at_most < expected
@@ -127,7 +127,7 @@ def test_cogging_adds_its_wave() -> None:
   assert cogging == pytest.approx(0.1 * np.sin(6.0 * POSITION + 0.2))
 
 
-def test_the_inputs_of_many_motors_each_get_their_own_set_point() -> None:
+def test_each_input_of_many_motors_gets_its_target() -> None:
   fields = ("position_target", "velocity_target", "effort_target")
   cfgs = [dc(inputs=fields, stiffness=1.0, damping=1.0), dc(inputs=("velocity_target",), damping=1.0)]
   cfgs[0].target_names_expr, cfgs[1].target_names_expr = ("b",), ("a",)
@@ -171,7 +171,7 @@ def test_pd_in_mujoco_is_the_pd_of_torch_at_a_small_timestep_and_is_stable_at_a_
   assert not np.abs(ends["torch", 1e-2] - ends["torch", 1e-4]).max() < 0.1
 
 
-def test_a_general_actuator_is_what_its_numbers_say() -> None:
+def test_a_general_actuator_follows_its_closed_form() -> None:
   affine = general(
     gain_type="affine", gain_prm=(1.0, 2.0, 3.0), bias_type="affine", bias_prm=(0.5, -1.5, 0.25), gear=2.0
   )

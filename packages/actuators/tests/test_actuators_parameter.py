@@ -106,7 +106,7 @@ def test_scaled_gains_of_pd_in_mujoco_also_weigh_its_targets() -> None:
     assert model.actuator_forcerange[0, 1] == limit
 
 
-def test_each_target_gets_its_own_factor_wherever_its_number_lives() -> None:
+def test_each_target_gets_its_factor_in_torch_and_in_mujoco() -> None:
   actuators, sim = build(
     NativeVelocityActuatorCfg(target_names_expr=("c",), damping=3.0),
     IdealPdActuatorCfg(target_names_expr=("a", "b"), stiffness=1.0, damping={"a": 2.0, "b": 4.0}),
@@ -118,8 +118,8 @@ def test_each_target_gets_its_own_factor_wherever_its_number_lives() -> None:
   } == {("actuator_gainprm", "c"), ("actuator_biasprm", "c")}
   factor = torch.tensor([[1.0, 2.0, 3.0]], dtype=torch.float64) + torch.arange(WORLDS)[:, None]
   parameter.scale(factor, MASK)
-  (law,) = (law for law in actuators.groups if isinstance(law, IdealPd))
-  assert law.damping.tolist() == [[2.0, 8.0], [2.0, 4.0], [6.0, 16.0]]
+  (actuator,) = (actuator for actuator in actuators.groups if isinstance(actuator, IdealPd))
+  assert actuator.damping.tolist() == [[2.0, 8.0], [2.0, 4.0], [6.0, 16.0]]
   assert sim.model.actuator_gainprm[:, 0, 0].tolist() == [9.0, 3.0, 15.0]
   assert sim.model.actuator_biasprm[:, 0, 2].tolist() == [-9.0, -3.0, -15.0]
 
@@ -136,7 +136,7 @@ def test_the_limit_of_the_joint_follows_unless_several_actuators_share_it() -> N
     ActuatorParameter(actuators, sim, "effort_limit")
 
 
-def test_a_one_sided_force_range_is_scaled_and_what_has_none_is_refused() -> None:
+def test_a_one_sided_force_range_is_scaled_and_a_missing_one_is_refused() -> None:
   general: dict[str, Any] = {"target_names_expr": ("b",), "command_field": "effort_target"}
   actuators, sim = build(NativeGeneralActuatorCfg(force_range=(-6.0, 0.0), **general))
   parameter = ActuatorParameter(actuators, sim, "effort_limit")
@@ -171,6 +171,6 @@ def test_a_learned_motor_has_an_effort_limit_but_no_gains_to_be_scaled(tmp_path:
     with pytest.raises(ValueError, match=f"{name} of joint 'a': its actuator has none"):
       ActuatorParameter(actuators, sim, name)
   ActuatorParameter(actuators, sim, "effort_limit").scale(torch.full((WORLDS, 1), 2.0).double(), MASK)
-  (law,) = actuators.groups
-  assert isinstance(law, LearnedMlp)
-  assert law.effort_limit.tolist() == [[6.0], [3.0], [6.0]]
+  (actuator,) = actuators.groups
+  assert isinstance(actuator, LearnedMlp)
+  assert actuator.effort_limit.tolist() == [[6.0], [3.0], [6.0]]

@@ -74,7 +74,7 @@ def learned(*joints: str, **delay: Any) -> ActuatorCfg:
 CASES: dict[str, tuple[tuple[ActuatorCfg, ...], int]] = {
   "servo": ((servo(".*"),), 1),
   "two servo configs out of order": ((servo("c", "b"), servo("a")), 1),
-  "three native laws": (
+  "three native models": (
     (
       servo("a"),
       NativeVelocityActuatorCfg(target_names_expr=("b",), damping=1.0),
@@ -113,13 +113,13 @@ SPLITS = [((".*",),), (("c",), ("a", "b")), (("b",), ("c",), ("a",))]
 
 
 @pytest.mark.parametrize("delay", [{}, LATE], ids=["at once", "late"])
-@pytest.mark.parametrize("law", [servo, pd, dc_motor, enveloped, learned])
-def test_a_substep_costs_the_same_however_many_groups_a_law_has(law: Any, delay: dict[str, Any]) -> None:
+@pytest.mark.parametrize("make_cfg", [servo, pd, dc_motor, enveloped, learned])
+def test_a_substep_costs_the_same_for_any_number_of_configs_of_a_model(make_cfg: Any, delay: dict[str, Any]) -> None:
   counts = []
   for split in SPLITS:
-    # Groups of a law differ in their numbers, which is why there are several.
-    cfgs = [replace(law(*joints), armature=0.01 * k, **delay) for k, joints in enumerate(split)]
-    if law is not learned:
+    # Groups of a actuator differ in their numbers, which is why there are several.
+    cfgs = [replace(make_cfg(*joints), armature=0.01 * k, **delay) for k, joints in enumerate(split)]
+    if make_cfg is not learned:
       for k, cfg in enumerate(cfgs):
         cfg.stiffness = 1.0 + k
     actuators = make(*cfgs)
@@ -143,8 +143,8 @@ def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[Actua
 
   def addresses() -> dict[str, int]:
     found = {"ctrl": actuators.ctrl.data_ptr()}
-    for i, law in enumerate(actuators.groups):
-      owners = {"law": law, "delay": law.delay, "history": getattr(law, "history", None)}
+    for i, actuator in enumerate(actuators.groups):
+      owners = {"actuator": actuator, "delay": actuator.delay, "history": getattr(actuator, "history", None)}
       for where, owner in owners.items():
         for name, value in vars(owner).items() if owner is not None else ():
           if isinstance(value, torch.Tensor):
@@ -161,7 +161,7 @@ def test_memory_that_lives_across_substeps_is_written_in_place(cfgs: tuple[Actua
   assert ctrl.abs().sum() > 0
 
 
-def test_only_laws_in_torch_need_measurements() -> None:
+def test_only_models_in_torch_need_measurements() -> None:
   assert not make(servo(".*")).needs_feedback
   assert make(servo("a"), pd("b", "c")).needs_feedback
 
@@ -170,9 +170,9 @@ def test_single_precision_follows_the_engine() -> None:
   for cfgs in ([pd("a", delay_max_lag=2), servo("b", "c")], [dc_motor("a"), enveloped("b"), learned("c")]):
     _, actuators = build(CHAIN, *cfgs, num_envs=2, dtype=torch.float32)
     assert actuators.compute(*(torch.zeros(2, 3) for _ in range(5))).dtype == torch.float32
-    for law in actuators.groups:
-      columns = len(law.target_names)
-      assert law.compute(ActuatorCmd(*(torch.zeros(2, columns) for _ in range(5)))).dtype == torch.float32
+    for actuator in actuators.groups:
+      columns = len(actuator.target_names)
+      assert actuator.compute(ActuatorCmd(*(torch.zeros(2, columns) for _ in range(5)))).dtype == torch.float32
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")

@@ -1,4 +1,4 @@
-"""Joints, tendons and sites: MuJoCo C applies each law where its config says, along the right direction."""
+"""Joints, tendons and sites: MuJoCo C applies each kind where its config says, along the right direction."""
 
 import dataclasses
 from typing import Any
@@ -93,7 +93,7 @@ def measured(actuators: ActuatorSet, worlds: list[mujoco.MjData]) -> tuple[torch
   return table[..., 0], table[..., 1]
 
 
-def set_points(actuators: ActuatorSet) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def random_targets(actuators: ActuatorSet) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
   generator = torch.Generator().manual_seed(1)
   position, velocity, effort = torch.randn(3, WORLDS, len(actuators.targets), generator=generator, dtype=torch.float64)
   return position, velocity, effort
@@ -138,7 +138,7 @@ def site_row(model: mujoco.MjModel, data: mujoco.MjData, name: str, refsite: str
   return np.array(THRUST) @ np.vstack((frame.T @ relative[:3], frame.T @ relative[3:]))
 
 
-LAWS: dict[str, Any] = {
+MODELS: dict[str, Any] = {
   "position": NativePositionActuatorCfg(target_names_expr=("x",), stiffness=KP, damping=KD),
   "velocity": NativeVelocityActuatorCfg(target_names_expr=("x",), damping=KD),
   "motor": NativeMotorActuatorCfg(target_names_expr=("x",), gear=-2.0),
@@ -157,8 +157,8 @@ LAWS: dict[str, Any] = {
 }
 
 
-def force(law: str, numbers: list[Any]) -> Any:
-  """Closed form of LAWS, per unit of transmission length, of three set-points, position and velocity."""
+def force(kind: str, numbers: list[Any]) -> Any:
+  """Closed form of MODELS, per unit of transmission length, of three targets, position and velocity."""
   target, rate, effort, q, v = numbers
   pd = KP * (target - q) + KD * (rate - v) + effort
   return {
@@ -169,7 +169,7 @@ def force(law: str, numbers: list[Any]) -> Any:
     "dc": 0.5 * (effort - 0.5 * v) / 2.0,
     "pd": np.clip(pd, -1.5, 1.5),
     "dc_pd": np.clip(pd, -np.clip(2.0 + v / 1.5, 0.0, None), np.clip(2.0 - v / 1.5, 0.0, None)),
-  }[law]
+  }[kind]
 
 
 WHERE: dict[str, dict[str, Any]] = {
@@ -191,13 +191,13 @@ WHERE: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("where", WHERE)
-@pytest.mark.parametrize("law", LAWS)
-def test_mujoco_applies_the_closed_form_along_the_transmission(law: str, where: str) -> None:
-  cfg = dataclasses.replace(LAWS[law], **WHERE[where])
+@pytest.mark.parametrize("kind", MODELS)
+def test_mujoco_applies_the_closed_form_along_the_transmission(kind: str, where: str) -> None:
+  cfg = dataclasses.replace(MODELS[kind], **WHERE[where])
   model, actuators = make(cfg)
   worlds = moving(model)
   position, velocity = measured(actuators, worlds)
-  targets = set_points(actuators)
+  targets = random_targets(actuators)
   got = applied(model, actuators, actuators.compute(*targets, position, velocity))
   column = [target.transmission for target in actuators.targets].index(cfg.transmission_type)
   for world, data in enumerate(worlds):
@@ -206,17 +206,17 @@ def test_mujoco_applies_the_closed_form_along_the_transmission(law: str, where: 
       tendon_row(model, data, name) if cfg.transmission_type == "tendon" else site_row(model, data, name, cfg.refsite)
     )
     numbers = [tensor[world, column].numpy() for tensor in (*targets, position, velocity)]
-    # A geared transmission is as much longer; only laws inside MuJoCo have a gear.
-    if law != "motor":
+    # A geared transmission is as much longer; only models inside MuJoCo have a gear.
+    if kind != "motor":
       assert row @ data.qvel == pytest.approx(numbers[-1])
-    np.testing.assert_allclose(got[world], row * force(law, numbers), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got[world], row * force(kind, numbers), rtol=1e-9, atol=1e-9)
 
 
-def test_a_site_without_a_reference_is_pushed_by_its_wrench_in_its_own_frame() -> None:
+def test_a_site_without_a_reference_is_pushed_by_a_wrench_in_its_frame() -> None:
   site: dict[str, Any] = {"transmission_type": "site", "site_gear": {"keel": THRUST, "h.*": (1, 0, 0, 0, 0, 0)}}
   thrusters = NativeMotorActuatorCfg(target_names_expr=("keel", "hook"), effort_limit=0.8, gear=3.0, **site)
   model, actuators = make(thrusters)
-  _, _, effort = targets = set_points(actuators)
+  _, _, effort = targets = random_targets(actuators)
   got = applied(model, actuators, actuators.compute(*targets, effort, effort))
   assert actuators.driven("site") == ("keel", "hook")
   for world, data in enumerate(moving(model)):
@@ -242,7 +242,7 @@ def test_a_damper_works_on_a_site_without_a_reference() -> None:
     np.testing.assert_allclose(got[world], -KD * (row @ data.qvel) * row, rtol=1e-9, atol=1e-9)
 
 
-def test_a_muscle_pulls_along_a_tendon_whose_range_is_its_own() -> None:
+def test_a_muscle_pulls_along_a_tendon_and_takes_its_range() -> None:
   cfg = NativeMuscleActuatorCfg(target_names_expr=("lift",), transmission_type="tendon", force=20.0)
   model, actuators = make(cfg)
   np.testing.assert_allclose(model.actuator_lengthrange, [[-2.0, 3.0]])
@@ -266,13 +266,13 @@ OWN = """<actuator>
 </actuator>"""
 
 
-def test_the_mjcf_s_own_actuators_are_wrapped_as_they_are_on_every_transmission() -> None:
+def test_actuators_of_the_mjcf_are_wrapped_unchanged_on_every_transmission() -> None:
   plain = mujoco.MjModel.from_xml_string(CRANE % OWN)
   wrapped = [XmlActuatorCfg(target_names_expr=(".*",), transmission_type=kind) for kind in ("joint", "tendon", "site")]
   model, actuators = make(*wrapped, own=OWN)
   for field in ("gainprm", "biasprm", "gear", "trntype", "trnid", "ctrlrange", "forcerange"):
     np.testing.assert_array_equal(getattr(model, f"actuator_{field}"), getattr(plain, f"actuator_{field}"))
-  targets = set_points(actuators)
+  targets = random_targets(actuators)
   ctrl = actuators.compute(*targets, *targets[:2])
   fields = {"winch": 0, "push": 2, "stay": 0, "spin": 1}
   columns = {
@@ -286,7 +286,7 @@ def test_the_mjcf_s_own_actuators_are_wrapped_as_they_are_on_every_transmission(
     assert torch.equal(ctrl[:, model.actuator(name).id], targets[field][:, column]), name
 
 
-def test_a_configured_site_is_measured_by_its_own_actuator_beside_one_of_the_mjcf() -> None:
+def test_a_configured_site_is_measured_by_the_added_actuator_beside_one_of_the_mjcf() -> None:
   cfg = IdealPdActuatorCfg(
     target_names_expr=("keel",), transmission_type="site", site_gear=THRUST, stiffness=0.0, damping=1.0
   )
@@ -296,15 +296,16 @@ def test_a_configured_site_is_measured_by_its_own_actuator_beside_one_of_the_mjc
 
 def test_a_tendon_and_a_joint_of_one_name_are_two_targets() -> None:
   cfgs = [
-    dataclasses.replace(LAWS["pd"], target_names_expr=("lift",), transmission_type=kind) for kind in ("joint", "tendon")
+    dataclasses.replace(MODELS["pd"], target_names_expr=("lift",), transmission_type=kind)
+    for kind in ("joint", "tendon")
   ]
   for order in (cfgs, cfgs[::-1]):
     model, actuators = make(*order)
     assert {model.actuator(i).name for i in range(2)} == {"lift", "lift_joint" if order is not cfgs else "lift_tendon"}
-    # One law, one computation, whatever it acts on.
+    # One kind, one computation, whatever it acts on.
     assert len(actuators.groups) == 1
     worlds = moving(model)
-    targets, (position, velocity) = set_points(actuators), measured(actuators, worlds)
+    targets, (position, velocity) = random_targets(actuators), measured(actuators, worlds)
     got = applied(model, actuators, actuators.compute(*targets, position, velocity))
     for world, data in enumerate(worlds):
       expected = np.zeros(model.nv)
@@ -330,7 +331,7 @@ SITE: dict[str, Any] = {"target_names_expr": ("keel",), "transmission_type": "si
 
 
 @pytest.mark.parametrize(
-  ("law", "where", "message"),
+  ("kind", "where", "message"),
   [
     ("motor", {"target_names_expr": ("rope",)}, "pattern 'rope' matches no joint.* There is a tendon 'rope': "),
     ("motor", {"target_names_expr": ("hook",)}, "There is a site 'hook': transmission_type='site'"),
@@ -345,17 +346,17 @@ SITE: dict[str, Any] = {"target_names_expr": ("keel",), "transmission_type": "si
     ("motor", {"target_names_expr": ("lift",), "site_gear": THRUST}, "site_gear is given, but transmission_type is"),
     ("motor", {"target_names_expr": ("lift",), "refsite": "keel"}, "refsite is given, but transmission_type is"),
     *(
-      (law, SITE | {"site_gear": THRUST}, "site 'keel' has a position only relative to a refsite")
-      for law in ("position", "general", "pd", "dc_pd")
+      (kind, SITE | {"site_gear": THRUST}, "site 'keel' has a position only relative to a refsite")
+      for kind in ("position", "general", "pd", "dc_pd")
     ),
   ],
 )
-def test_impossible_transmissions_are_refused_by_name_at_build(law: str, where: dict[str, Any], message: str) -> None:
+def test_impossible_transmissions_are_refused_by_name_at_build(kind: str, where: dict[str, Any], message: str) -> None:
   with pytest.raises(ValueError, match=message):
-    make(dataclasses.replace(LAWS[law], **where))
+    make(dataclasses.replace(MODELS[kind], **where))
 
 
-def test_laws_that_live_on_a_position_need_a_reference_on_a_site() -> None:
+def test_models_that_read_a_position_need_a_reference_on_a_site() -> None:
   for cfg in (
     NativeMuscleActuatorCfg(site_gear=THRUST, length_range=(0.0, 1.0), **SITE),
     LearnedMlpActuatorCfg(site_gear=THRUST, network_file="unread.pt", **SITE),

@@ -153,7 +153,7 @@ RESTING: dict[str, tuple[ActuatorCfg, str, list[float]]] = {
 
 
 @pytest.mark.parametrize("kind", RESTING)
-def test_controls_of_the_keyframe_hold_the_initial_pose_whatever_the_gear(kind: str) -> None:
+def test_controls_of_the_keyframe_hold_the_initial_pose_at_any_gear(kind: str) -> None:
   """One number per input, so that actuators behind one with several keep theirs."""
   cfg, own, expected = RESTING[kind]
   other = NativePositionActuatorCfg(target_names_expr=("k",), stiffness=50.0, damping=4.0)

@@ -81,7 +81,7 @@ def drive(scene: Scene, sim: Simulation, steps: int) -> None:
     sim.step()
 
 
-def test_each_world_has_the_constants_of_its_own_robot(make: MakeWorlds) -> None:
+def test_each_world_has_the_constants_of_its_robot(make: MakeWorlds) -> None:
   scene, sim = make(robots(), 3)
   robot = scene["robot"]
   assert robot.joint_names == ("shoulder", "elbow")
@@ -121,7 +121,7 @@ def test_each_robot_moves_as_it_would_alone_and_joints_that_it_lacks_rest(make: 
   assert sim.data.qpos[1, 8].abs() < 1e-3
 
 
-def test_drawers_of_other_lengths_have_their_own_limits(make: MakeWorlds) -> None:
+def test_drawers_of_different_lengths_have_different_limits(make: MakeWorlds) -> None:
   def drawer(depth: float) -> Callable[[], mujoco.MjSpec]:
     return spec(
       f"""<mujoco><worldbody><body name="cabinet" pos="0 0 .5"><geom name="case" type="box" size="{depth} .3 .4"/>
@@ -181,7 +181,7 @@ def test_the_assignment_is_part_of_the_saved_state(make: MakeWorlds) -> None:
     ),
   ],
 )
-def test_what_worlds_share_cannot_differ(old: str, new: str, message: str) -> None:
+def test_variants_that_differ_in_shared_parts_are_refused(old: str, new: str, message: str) -> None:
   changed = {"short": spec(ROBOTS["short"]), "long": spec(ROBOTS["long"].replace(old, new, 1))}
   with pytest.raises(MjlabError, match=message):
     robots(variants=changed).build("robot")

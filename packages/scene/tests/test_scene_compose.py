@@ -63,7 +63,7 @@ def three(num_envs: int = 3, **kwargs: Any) -> SceneCfg:
 # Keyframes
 
 
-def test_each_robot_takes_its_own_keyframe(make_worlds: MakeWorlds) -> None:
+def test_each_robot_takes_the_keyframe_of_its_model(make_worlds: MakeWorlds) -> None:
   scene, _ = make_worlds(cfg=three())
   robot, arm, twin = (scene[name].data for name in ("robot", "arm", "twin"))
   assert robot.default_joint_pos.tolist() == [[0.3]]
@@ -181,7 +181,7 @@ def test_a_configured_sensor_claims_the_element_it_wraps(make_worlds: MakeWorlds
   assert scene["gyro"].data.shape == (3, 3)
 
 
-def test_names_that_would_hide_one_another_are_refused() -> None:
+def test_duplicate_names_of_parts_are_refused() -> None:
   gyro = BuiltinSensorCfg(element="robot/gyro")
   with pytest.raises(ValueError, match="'robot' names two parts"):
     Scene(three(sensors={"robot": gyro}))
@@ -194,7 +194,7 @@ def test_names_that_would_hide_one_another_are_refused() -> None:
 # Access
 
 
-def test_an_unknown_name_is_answered_with_the_nearest() -> None:
+def test_the_error_for_an_unknown_name_has_the_nearest() -> None:
   scene = Scene(three())
   assert scene["robot"] is scene.entities["robot"]
   assert scene["terrain"] is scene.terrain
@@ -202,7 +202,7 @@ def test_an_unknown_name_is_answered_with_the_nearest() -> None:
     scene["robt"]
 
 
-def test_reading_an_entity_before_its_scene_is_initialized_says_what_to_do() -> None:
+def test_reading_an_entity_before_its_scene_is_initialized_is_refused() -> None:
   with pytest.raises(RuntimeError, match="initialize its scene first"):
     _ = Scene(three())["robot"].data
 

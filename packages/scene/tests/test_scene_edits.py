@@ -148,7 +148,7 @@ def test_a_sky_of_the_scene_is_changed() -> None:
     (LightCfg(name="l", mode="track", type="sopt"), "type 'sopt' does not exist. Nearest: spot"),  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
   ],
 )
-def test_what_cannot_be_edited_is_refused_by_name(edit: SpecEdit, message: str) -> None:
+def test_impossible_edits_are_refused_by_name(edit: SpecEdit, message: str) -> None:
   with pytest.raises(MjlabError, match=message):
     compiled(edit)
 

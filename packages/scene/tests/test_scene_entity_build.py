@@ -128,7 +128,7 @@ def test_the_root_of_a_floating_base_starts_where_the_model_puts_it() -> None:
 # Contact presets
 
 
-def test_a_preset_sets_what_matches_and_switches_the_rest_off() -> None:
+def test_a_preset_sets_matching_geoms_and_switches_the_rest_off() -> None:
   preset = CollisionCfg(
     geom_names_expr=".*_collision", condim={"left_.*": 4, "right_.*": 1}, friction=(0.6,), solref=(0.01, 1.0)
   )
@@ -192,7 +192,7 @@ TWO_BASES = """
     (ARM, preset("left_collision", friction=(-1.0,)), ".* 'left_collision': friction must not be negative, got"),
   ],
 )
-def test_what_cannot_be_is_refused_by_name(text: str, fields: dict[str, Any], message: str) -> None:
+def test_impossible_entities_are_refused_by_name(text: str, fields: dict[str, Any], message: str) -> None:
   with pytest.raises(MjlabError, match=f"entity 'robot'.*{message}"):
     build(text, **fields)
 
@@ -205,7 +205,7 @@ def test_an_mjcf_that_mujoco_refuses_is_named_with_its_entity() -> None:
 
 
 @pytest.mark.parametrize("spec_fn", ["robot.xml", lambda: None, mujoco.MjSpec()])
-def test_what_makes_no_spec_is_refused_by_name(spec_fn: Any) -> None:
+def test_a_spec_fn_that_returns_no_spec_is_refused_by_name(spec_fn: Any) -> None:
   with pytest.raises(ValueError, match="entity 'robot': spec_fn must be a function that returns an MjSpec"):
     Entity(EntityCfg(spec_fn=spec_fn), "robot")
 

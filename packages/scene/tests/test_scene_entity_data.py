@@ -112,7 +112,7 @@ def test_poses_and_velocities_of_all_frames_equal_mujoco_c(moving, name: str) ->
     assert torch.equal(pose, torch.cat((pos, quat), -1)), frame
 
 
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds(
+def test_saved_state_has_the_same_names_for_any_number_of_worlds(
   make_worlds: MakeWorlds,
 ) -> None:
   saved = [set(make_worlds(worlds, robot=EVERYTHING)[0]["robot"].data.state_dict()) for worlds in range(1, 10)]

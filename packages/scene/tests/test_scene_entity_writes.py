@@ -148,7 +148,7 @@ def test_ids_count_as_they_are_now_and_are_not_kept(make_worlds: MakeWorlds) -> 
 
 
 @pytest.mark.parametrize("selection", [slice(1, 3), [2, 0], torch.tensor([2, 1])], ids=["slice", "list", "tensor"])
-def test_joint_ids_select_joints_whatever_their_width(make_worlds: MakeWorlds, selection) -> None:
+def test_joint_ids_select_joints_of_any_width(make_worlds: MakeWorlds, selection) -> None:
   scene, _ = make_worlds(2, robot=FLOATING)
   robot = scene["robot"]
   ids = list(range(3))[selection] if isinstance(selection, slice) else [int(i) for i in selection]
@@ -177,7 +177,7 @@ def test_one_row_serves_all_worlds_and_any_other_batch_size_is_refused(make_worl
       write(random(rows, columns))
 
 
-def test_what_an_entity_lacks_cannot_be_written(make_worlds: MakeWorlds) -> None:
+def test_writes_of_missing_elements_are_refused(make_worlds: MakeWorlds) -> None:
   block = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
   scene, _ = make_worlds(1, arm=FIXED, block=block)
   with pytest.raises(ValueError, match="does not float"):
@@ -231,7 +231,7 @@ def test_a_delayed_robot_holds_its_default_pose_after_a_reset(make_worlds: MakeW
   assert seen == [0.5, 0.5, 0.9, 0.9]
 
 
-def test_controls_are_written_once_while_no_set_point_changes_and_again_after_a_reset(make_worlds: MakeWorlds) -> None:
+def test_controls_are_written_once_while_no_target_changes_and_again_after_a_reset(make_worlds: MakeWorlds) -> None:
   scene, sim = make_worlds(2, arm=entity(FIXED, articulation=servo()))
   scene["arm"].set_joint_position_target(random(2, 2))
   scene.write_ctrl()
@@ -246,9 +246,9 @@ def test_controls_are_written_once_while_no_set_point_changes_and_again_after_a_
   assert torch.equal(sim.data.ctrl[1], random(2, 2)[1])
 
 
-def test_feedback_laws_are_computed_in_every_substep(make_worlds: MakeWorlds) -> None:
-  law = IdealPdActuatorCfg(target_names_expr=(".*",), stiffness=10.0, damping=0.0, effort_limit=100.0)
-  scene, sim = make_worlds(2, arm=entity(FIXED, articulation=EntityArticulationCfg(actuators=(law,))))
+def test_actuator_models_with_feedback_are_computed_in_every_substep(make_worlds: MakeWorlds) -> None:
+  pd = IdealPdActuatorCfg(target_names_expr=(".*",), stiffness=10.0, damping=0.0, effort_limit=100.0)
+  scene, sim = make_worlds(2, arm=entity(FIXED, articulation=EntityArticulationCfg(actuators=(pd,))))
   arm = scene["arm"]
   arm.set_joint_position_target(random(2, 2))
   for _ in range(3):
@@ -264,7 +264,7 @@ def test_actuators_drive_the_scalar_joints_of_a_robot_with_a_ball_joint(make_wor
   assert sim.data.ctrl.tolist() == [[0.1, 0.3]]
 
 
-def test_actuators_that_nobody_configured_keep_the_controls_that_are_set(make_worlds: MakeWorlds) -> None:
+def test_actuators_without_a_config_keep_the_controls_that_are_set(make_worlds: MakeWorlds) -> None:
   text = FIXED.replace("</mujoco>", '<actuator><motor joint="h"/></actuator></mujoco>')
   scene, sim = make_worlds(2, arm=text)
   scene["arm"].set_ctrl(torch.tensor([[2.0], [3.0]], dtype=torch.float64), mask=torch.tensor([False, True]))

@@ -22,7 +22,7 @@ def build(max_init_level: int | None = 1, seed: int = 0) -> tuple[Scene, Terrain
   return scene, scene.terrain_levels
 
 
-def everybody(value: bool = True) -> torch.Tensor:
+def every_world(value: bool = True) -> torch.Tensor:
   return torch.full((NUM_ENVS,), value)
 
 
@@ -39,24 +39,24 @@ def test_worlds_begin_on_easy_rows_of_columns_by_their_share() -> None:
 def test_a_promoted_world_moves_up_one_row_and_the_others_stay_bit_identical() -> None:
   scene, levels = build(max_init_level=0)
   before = scene.env_origins.clone()
-  mask, up = everybody(False), everybody()
+  mask, up = every_world(False), every_world()
   mask[3] = True
-  levels.move(mask, up, everybody(False))
+  levels.move(mask, up, every_world(False))
   assert levels.levels[3] == 1
   assert scene.env_origins[3, 0] > before[3, 0]
   assert torch.equal(scene.env_origins[~mask], before[~mask])
-  levels.move(mask, everybody(False), up)
+  levels.move(mask, every_world(False), up)
   assert torch.equal(scene.env_origins, before)
 
 
-def test_nobody_falls_below_the_easiest_row_and_above_the_hardest_rows_are_drawn() -> None:
+def test_no_world_falls_below_the_easiest_row_and_above_the_hardest_rows_are_drawn() -> None:
   _, levels = build()
   for _ in range(5):
-    levels.move(everybody(), everybody(False), everybody())
+    levels.move(every_world(), every_world(False), every_world())
   assert not levels.levels.any()
   seen = set()
   for _ in range(40):
-    levels.move(everybody(), everybody(), everybody(False))
+    levels.move(every_world(), every_world(), every_world(False))
     seen |= set(levels.levels.tolist())
   assert seen == {0, 1, 2, 3}
 
@@ -72,7 +72,7 @@ def test_randomizing_touches_masked_worlds_alone() -> None:
 
 def test_tiles_of_worlds_are_saved_and_restored() -> None:
   scene, levels = build(seed=0)
-  levels.randomize(everybody())
+  levels.randomize(every_world())
   other, other_levels = build(seed=1)
   other.load_state_dict(scene.state_dict())
   assert torch.equal(other_levels.levels, levels.levels)

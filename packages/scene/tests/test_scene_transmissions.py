@@ -39,7 +39,7 @@ CRANE = f"""
   </actuator>
 </mujoco>
 """
-SET_POINTS = {
+TARGET_NAMES = {
   "joint": ("position", "velocity", "effort"),
   "tendon": ("len", "vel", "effort"),
   "site": ("pos", "vel", "effort"),
@@ -74,12 +74,12 @@ def all_transmissions() -> tuple[ActuatorCfg, ...]:
 
 
 def commands(kind: str, substep: int, world: int) -> np.ndarray:
-  """Three set-points of every target of one kind, (3, targets)."""
+  """Position, velocity and effort targets of one kind, (3, targets)."""
   return 0.5 * np.sin(0.3 * substep + np.arange(3)[:, None] + 0.7 * np.arange(len(COLUMNS[kind])) + world)
 
 
 def in_c(model: mujoco.MjModel, world: int, substeps: int) -> np.ndarray:
-  """What plain MuJoCo C does with the same commands, laws of the third tier written out, (substeps, joints)."""
+  """What plain MuJoCo C does with the same commands, models of the third tier written out, (substeps, joints)."""
   data, angles = mujoco.MjData(model), []
   mujoco.mj_forward(model, data)
 
@@ -91,7 +91,7 @@ def in_c(model: mujoco.MjModel, world: int, substeps: int) -> np.ndarray:
     output = model.actuator(name).id
     return np.array((data.actuator_length[output], data.actuator_velocity[output]))
 
-  def set_point(kind: str, name: str, field: int, substep: int) -> float:
+  def target(kind: str, name: str, field: int, substep: int) -> float:
     return commands(kind, substep, world)[field, COLUMNS[kind].index(name)]
 
   handed_over = {
@@ -109,11 +109,11 @@ def in_c(model: mujoco.MjModel, world: int, substeps: int) -> np.ndarray:
   for substep in range(substeps):
     mujoco.mj_step1(model, data)
     for element, (kind, name, field) in handed_over.items():
-      data.actuator(f"robot/{element}").ctrl[:] = set_point(kind, name, field, substep)
+      data.actuator(f"robot/{element}").ctrl[:] = target(kind, name, field, substep)
     for name, kind in computed.items():
       wanted = [start[name], 0.0, 0.0]
       if substep >= LAG:
-        wanted = [set_point(kind, name, field, substep - LAG) for field in range(3)]
+        wanted = [target(kind, name, field, substep - LAG) for field in range(3)]
       position, velocity = measured(kind, f"robot/{name}")
       effort = GAINS["stiffness"] * (wanted[0] - position) + GAINS["damping"] * (wanted[1] - velocity) + wanted[2]
       data.actuator(f"robot/{name}").ctrl[:] = effort
@@ -132,7 +132,7 @@ def test_all_tiers_on_all_transmissions_move_one_robot_as_mujoco_c_does(
   scene, sim = make_worlds(2, engine, robot=cfg)
   robot = scene["robot"]
   for substep in range(SUBSTEPS):
-    for kind, names in SET_POINTS.items():
+    for kind, names in TARGET_NAMES.items():
       rows = torch.tensor(np.array([commands(kind, substep, world) for world in range(2)]), dtype=sim.dtype)
       for name, value in zip(names, rows.unbind(1), strict=True):
         getattr(robot, f"set_{kind}_{name}_target")(value)
@@ -145,7 +145,7 @@ def test_all_tiers_on_all_transmissions_move_one_robot_as_mujoco_c_does(
 
 
 @pytest.mark.parametrize("lag", [0, 3])
-def test_a_fresh_world_holds_its_default_pose_and_lengths_until_it_is_told_otherwise(
+def test_a_fresh_world_holds_its_default_pose_and_lengths_until_targets_change(
   make_worlds: MakeWorlds, lag: int
 ) -> None:
   late: dict[str, Any] = {"delay_min_lag": lag, "delay_max_lag": lag}
@@ -164,9 +164,9 @@ def test_a_fresh_world_holds_its_default_pose_and_lengths_until_it_is_told_other
   )
   scene, sim = make_worlds(2, robot=cfg)
   robot = scene["robot"]
-  for set_point in ("len", "vel", "effort"):
-    getattr(robot, f"set_tendon_{set_point}_target")(torch.full((2, 3), 9.0))
-    getattr(robot, f"set_site_{set_point.replace('len', 'pos')}_target")(torch.full((2, 7), 9.0))
+  for target in ("len", "vel", "effort"):
+    getattr(robot, f"set_tendon_{target}_target")(torch.full((2, 3), 9.0))
+    getattr(robot, f"set_site_{target.replace('len', 'pos')}_target")(torch.full((2, 7), 9.0))
   for _ in range(2 * lag + 1):
     scene.write_ctrl()
     sim.step()
@@ -192,7 +192,7 @@ def test_a_fresh_world_holds_its_default_pose_and_lengths_until_it_is_told_other
   assert torch.equal(other, driven[0])
 
 
-def test_set_points_of_what_nothing_drives_are_refused_by_name(make_worlds: MakeWorlds) -> None:
+def test_targets_without_an_actuator_are_refused_by_name(make_worlds: MakeWorlds) -> None:
   motor = NativeMotorActuatorCfg(target_names_expr=("a",))
   cfg = entity(CRANE, articulation=EntityArticulationCfg(actuators=(motor,)))
   scene, _ = make_worlds(2, robot=cfg, plain=CRANE)
@@ -203,7 +203,7 @@ def test_set_points_of_what_nothing_drives_are_refused_by_name(make_worlds: Make
       scene[name].set_site_effort_target(torch.zeros(2, 7))
 
 
-def test_set_points_of_chosen_tendons_reach_masked_worlds_only(make_worlds: MakeWorlds) -> None:
+def test_targets_of_chosen_tendons_reach_masked_worlds_only(make_worlds: MakeWorlds) -> None:
   cfg = entity(CRANE, articulation=EntityArticulationCfg(actuators=all_transmissions()))
   scene, _ = make_worlds(2, robot=cfg)
   robot = scene["robot"]

@@ -51,7 +51,7 @@ def all_of_them(assignment: Any = NAMES) -> VariantEntityCfg:
   return VariantEntityCfg(variants=OBJECTS, init_state=START, assignment=assignment)
 
 
-def test_an_overlay_changes_geoms_and_is_refused_for_what_variants_have_separately(make, tmp_path: Path) -> None:
+def test_an_overlay_changes_geoms_and_is_refused_for_fields_of_single_variants(make, tmp_path: Path) -> None:
   def overlaid(model: dict[str, Any]) -> VariantEntityCfg:
     path = tmp_path / "identified.json"
     path.write_text(json.dumps({"format": "mjlab overlay 1", "model": model}))
@@ -63,7 +63,7 @@ def test_an_overlay_changes_geoms_and_is_refused_for_what_variants_have_separate
     make(overlaid({"body_mass": {"object": [2.0]}}))
 
 
-def test_every_world_has_the_mass_and_inertia_of_its_own_object(make) -> None:
+def test_every_world_has_the_mass_and_inertia_of_its_object(make) -> None:
   scene, sim = make(all_of_them())
   body = sim.mj_model.body("thing/object").id
   assert scene["thing"].variant.tolist() == [0, 1, 2, 3]
@@ -109,7 +109,7 @@ def test_engines_agree_on_worlds_with_different_objects(make) -> None:
 
 
 @pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
-def test_rays_meet_what_is_there_and_nothing_else(make, engine) -> None:
+def test_rays_meet_only_objects_that_are_there(make, engine) -> None:
   _, sim = make(all_of_them(), engine)
   down = torch.tensor([0.0, 0.0, -1.0]).expand(4, 1, 3)
   hits = sim.make_ray_caster(1).cast(torch.tensor([0.02, 0.02, 1.0]).expand(4, 1, 3), down)
@@ -204,7 +204,7 @@ def test_shares_are_dealt_in_whole_worlds_and_shuffled() -> None:
   assert sorted(assign(["a", "b"], None, 5, 3, "")) == [0, 0, 0, 1, 1]
 
 
-def test_a_configuration_equals_its_like() -> None:
+def test_equal_configurations_compare_equal() -> None:
   assert all_of_them() == all_of_them()
   assert all_of_them() != all_of_them(None)
 
@@ -221,7 +221,7 @@ def test_names_of_every_variant_are_addressable(make) -> None:
   assert entity.variant.bincount(minlength=4).tolist() == [2, 2, 2, 2]
 
 
-def test_what_does_not_float_can_differ_too(make) -> None:
+def test_objects_with_a_fixed_base_can_differ_too(make) -> None:
   fixed = {"ball": spec_of(BALL, ""), "crate": spec_of(CRATE, "")}
   scene, sim = make(VariantEntityCfg(variants=fixed, assignment=("ball", "crate", "ball", "crate")))
   assert not scene["thing"].is_floating
@@ -241,7 +241,7 @@ def test_what_does_not_float_can_differ_too(make) -> None:
     ({"variants": {"a": spec_of(BALL), "b": spec_of(BALL, "")}}, "variant 'b' has no free joint, but others have"),
   ],
 )
-def test_what_cannot_be_is_refused_by_name(make, options: dict[str, Any], message: str) -> None:
+def test_impossible_variants_are_refused_by_name(make, options: dict[str, Any], message: str) -> None:
   settings: dict[str, Any] = {"variants": OBJECTS, **options}
   with pytest.raises(ValueError, match=message):
     make(VariantEntityCfg(**settings))
