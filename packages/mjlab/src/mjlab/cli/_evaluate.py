@@ -65,7 +65,9 @@ exit codes: 0 done, 1 a threshold was missed or the command failed, 2 wrong comm
 )
 def run(wanted: Arguments, line: TaskLine) -> int:
   """Play fixed scenarios with a policy, and print statistics with 95 % confidence intervals."""
-  thresholds = _thresholds(wanted.require)
+  with as_usage("--require"):
+    texts = [] if wanted.require is None else wanted.require.split(",")
+    thresholds = [mjlab_rl.Threshold.parse(text) for text in texts]
   found = find_policy(wanted, line)
   # Again, with the configuration of the run as the default.
   wanted = line.parse(env=found.parts.env)
@@ -93,11 +95,6 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   if broken:
     print(f"failed: {broken} actions of the policy were NaN or infinite, which the environment takes for zero")
   return int(broken > 0 or not all(reached for reached, _ in outcomes))
-
-
-def _thresholds(text: str | None) -> "list[mjlab_rl.Threshold]":
-  with as_usage("--require"):
-    return [] if text is None else [mjlab_rl.Threshold.parse(part) for part in text.split(",")]
 
 
 def _configured(wanted: Arguments, name: str, default: int) -> Any:

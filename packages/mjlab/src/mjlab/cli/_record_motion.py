@@ -48,12 +48,13 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   with found.acting(wanted.env, environments.resolve_device(wanted.device)) as (env, policy):
     recorder = _recorder(env, wanted.entity)
     print(f"{line.name}: {found}", flush=True)
+    data, origin = env.scene[wanted.entity].data, env.scene.env_origins[0]
     first = round(wanted.skip / env.step_dt)
     with torch.no_grad():
       observations, _ = env.reset(seed=wanted.seed)
       for step in range(first + round(wanted.seconds / env.step_dt) + 1):
         if step >= first:
-          _add_frame(recorder, env, wanted.entity)
+          recorder.add(data.root_link_pos_w[0] - origin, data.root_link_quat_w[0], data.joint_pos[0])
         observations, _, terminated, truncated, _ = env.step(policy(observations))
         # A clip must not contain the jump into the next episode.
         if bool((terminated | truncated).any()):
@@ -73,9 +74,3 @@ def _recorder(env: Any, entity: str) -> "mjlab_motions.MotionRecorder":
   if kinematics.joint_names != env.scene[entity].joint_names:
     raise MjlabError(f"entity '{entity}' has joints outside of its floating tree")
   return mjlab_motions.MotionRecorder(kinematics, rate=1.0 / env.step_dt)
-
-
-def _add_frame(recorder: "mjlab_motions.MotionRecorder", env: Any, entity: str) -> None:
-  """Record the pose of an entity in the first world, relative to the world's origin."""
-  data = env.scene[entity].data
-  recorder.add(data.root_link_pos_w[0] - env.scene.env_origins[0], data.root_link_quat_w[0], data.joint_pos[0])

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import mjlab_rl
 import msgspec
 from mjlab_core import MjlabError
-from mjlab_rl import Console, TaskCfg
+from mjlab_rl import Console
 
 from mjlab import environments
 from mjlab.cli._sweep_space import Range, Scalar, Space, Sweep, Trial, trial_flags
@@ -133,15 +133,12 @@ def _scheduler(sweep: Sweep) -> Any:
   if sweep.scheduler == "asha":
     return ASHAScheduler("iteration", max_t=sweep.max_iterations, grace_period=_interval(sweep))
   if sweep.scheduler == "pbt":
-    changed = {name: _mutation(sweep.space.values[name]) for name in sweep.space.perturb}
+    domains = ((name, sweep.space.values[name]) for name in sweep.space.perturb)
+    changed = {name: _domain(values) if isinstance(values, Range) else values for name, values in domains}
     return PopulationBasedTraining(
       "iteration", perturbation_interval=_interval(sweep), hyperparam_mutations=changed, quantile_fraction=0.25
     )
   return None
-
-
-def _mutation(values: list[Scalar] | Range) -> Any:
-  return _domain(values) if isinstance(values, Range) else values
 
 
 def _result(found: Any, space: Space) -> Trial:
@@ -154,9 +151,14 @@ def _result(found: Any, space: Space) -> Trial:
 
 def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
   """Train one trial, from the checkpoint that Ray gives it if there is one, in a folder of its name."""
+  from mjlab.cli._flags import parse
+
   wanted = msgspec.json.decode(sweep, type=Sweep)
   device = environments.resolve_device("cuda" if wanted.gpus else "cpu")
-  task = _task_of(wanted, values, device)
+  task = load_task(wanted.task)
+  task.env.scene.num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
+  task = parse(task, [*wanted.flags, *trial_flags(values)])
+  task.agent.save_interval, task.agent.logger = _interval(wanted), "none"
   console, reports = Console("quiet"), _Reports()
   console.on_report.append(reports.keep)
 
@@ -188,17 +190,6 @@ def train_trial(values: dict[str, Scalar], sweep: bytes, folder: Path) -> None:
       on_ready=on_ready,
     )
     reports.send()
-
-
-def _task_of(sweep: Sweep, values: dict[str, Scalar], device: str) -> "TaskCfg[Any]":
-  """Return the task of a sweep with the values of a trial."""
-  from mjlab.cli._flags import parse
-
-  task = load_task(sweep.task)
-  task.env.scene.num_envs = environments.default_num_envs(device, task.env.scene.num_envs)
-  task = parse(task, [*sweep.flags, *trial_flags(values)])
-  task.agent.save_interval, task.agent.logger = _interval(sweep), "none"
-  return task
 
 
 class _Reports:
