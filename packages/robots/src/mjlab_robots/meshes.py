@@ -1,6 +1,5 @@
 """Folders of visual meshes. Physics needs no mesh."""
 
-import os
 import sys
 import tarfile
 from collections.abc import Collection
@@ -82,12 +81,11 @@ def _way_out(robot: str) -> str:
 
 
 def _folder(robot: str) -> Path | None:
-  root = os.environ.get("MENAGERIE_ROOT")
-  if root:
-    return Path(root) / robot / "assets"
   # Imported here because it reads a registry, which physics does not need.
   import mujoco_menagerie
 
   cache = mujoco_menagerie.Cache()
+  if cache.root is not None:
+    return cache.root / robot / "assets"
   entry = mujoco_menagerie.get(robot)
   return cache.model_path(entry) / "assets" if cache.is_cached(entry) else None

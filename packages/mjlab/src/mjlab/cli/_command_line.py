@@ -8,6 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from typing import Any
 
+import mjlab_rl
 from mjlab_core import MjlabError, UsageError
 from mjlab_core.constraints import field_problems
 from mjlab_rl import RunManifest, TaskCfg
@@ -66,7 +67,8 @@ class TaskLine:
 
   def defaults(self, **parts: Any) -> Any:
     """Return the arguments without flags, with the parts of the task except for those given."""
-    own = {"env": self.task.env, "agent": self.task.agent, "eval": self.task.evaluator, **parts}
+    evaluator = self.task.evaluator or mjlab_rl.ReturnEvaluation()
+    own = {"env": self.task.env, "agent": self.task.agent, "eval": evaluator, **parts}
     return self.arguments(
       **{field.name: own[field.name] for field in dataclasses.fields(self.arguments) if field.type is Any}
     )

@@ -1,7 +1,7 @@
 """`evaluate TASK [flags]`: statistics of a policy with confidence intervals, for people and for CI."""
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,6 @@ from mjlab_rl.manifest import package_versions
 from mjlab import environments
 from mjlab.cli._command_line import (
   CommandLine,
-  Loaded,
   TaskArguments,
   TaskLine,
   as_usage,
@@ -23,7 +22,6 @@ from mjlab.cli._command_line import (
 )
 from mjlab.cli._policies import PolicyArguments, find_policy
 from mjlab.cli._progress import progress_bar
-from mjlab.registry import load_task
 
 
 @dataclass(kw_only=True)
@@ -46,12 +44,6 @@ class Arguments(PolicyArguments, TaskArguments):
   """Settings of the evaluation."""
 
 
-def _load(name: str, given: list[str]) -> Loaded:
-  """Load a task; one without an evaluator gets that of the return."""
-  task = load_task(name)
-  return replace(task, evaluator=task.evaluator or mjlab_rl.ReturnEvaluation()), given, given
-
-
 @CommandLine(
   "evaluate",
   "TASK",
@@ -61,7 +53,6 @@ def _load(name: str, given: list[str]) -> Loaded:
 
 exit codes: 0 done, 1 a threshold was missed or the command failed, 2 wrong command line
 """,
-  load=_load,
 )
 def run(wanted: Arguments, line: TaskLine) -> int:
   """Play fixed scenarios with a policy, and print statistics with 95 % confidence intervals."""

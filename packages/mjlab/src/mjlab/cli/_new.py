@@ -66,9 +66,7 @@ def _new_robot(wanted: RobotArguments, files: list[str]) -> int:
   from mjlab.new.robot import read_robot, robot_files, write_model
 
   with building(from_file=True):
-    new = read_robot(
-      file, base=wanted.base, motors=wanted.motors, home=wanted.home, torso=wanted.torso, feet=wanted.feet
-    )
+    new = read_robot(file, **{name: getattr(wanted, name) for name in ("base", "motors", "home", "torso", "feet")})
     made = robot_files(new, name)
     write_package(folder, made, lambda root: write_model(new.robot.spec, root / "src" / name / "model"))
   for line in new.report():

@@ -108,7 +108,6 @@ def _types(names: list[str]) -> "dict[str, TileCfg]":
 def _write_image(cfg: "TerrainGridCfg", wanted: Arguments) -> int:
   """Write a picture: a rendering, or a plot if that is wanted or OpenGL does not work."""
   path = output_file("--image", wanted.image or "", ".png", force=True)
-  import numpy as np
   from mjlab_terrain.view.picture import plot, render
   from PIL import Image
 
@@ -123,6 +122,6 @@ def _write_image(cfg: "TerrainGridCfg", wanted: Arguments) -> int:
   if pixels is None:
     pixels, kind = plot(cfg, wanted.image_size, names=True), "plot"
   path.parent.mkdir(parents=True, exist_ok=True)
-  Image.fromarray(np.ascontiguousarray(pixels)).save(path)
+  Image.fromarray(pixels).save(path)
   print(f"{path} ({kind})")
   return 0
