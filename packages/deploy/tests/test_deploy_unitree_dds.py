@@ -56,9 +56,9 @@ def test_states_and_commands_go_through_dds(model: str) -> None:
 
   state = getattr(default, f"{facts.messages}_msg_dds__LowState_")()
   state.imu_state.gyroscope[:] = [0.1, 0.2, 0.3]
-  for motor in range(len(facts.motors)):
-    state.motor_state[motor].q = 0.01 * motor
-    state.motor_state[motor].dq = -0.01 * motor
+  count = len(facts.motors)
+  for motor in range(count):
+    state.motor_state[motor].q, state.motor_state[motor].dq = 0.01 * motor, -0.01 * motor
   if facts.sends_mode:
     state.mode_machine = 5
 
@@ -70,10 +70,9 @@ def test_states_and_commands_go_through_dds(model: str) -> None:
   send_until(lambda: robot.read() is not None, publish)
   read = robot.read()
   assert read is not None
-  count = len(facts.motors)
-  np.testing.assert_allclose(read.position, 0.01 * np.arange(count)[::-1], atol=1e-6)
-  np.testing.assert_allclose(read.velocity, -0.01 * np.arange(count)[::-1], atol=1e-6)
-  np.testing.assert_allclose(read.gyro, [0.1, 0.2, 0.3], atol=1e-6)
+  angles = 0.01 * np.arange(count)[::-1]
+  for found, wanted in ((read.position, angles), (read.velocity, -angles), (read.gyro, [0.1, 0.2, 0.3])):
+    np.testing.assert_allclose(found, wanted, atol=1e-6)
   assert robot.num_damaged == 0
 
   gains = np.arange(1.0, count + 1)
@@ -81,10 +80,9 @@ def test_states_and_commands_go_through_dds(model: str) -> None:
   send_until(lambda: bool(received), lambda: robot.write(command))
   message = received[0]
   assert message.crc == checksum(message)
-  motors = message.motor_cmd[:count]
-  np.testing.assert_allclose([motor.q for motor in motors], command.position[::-1], rtol=1e-6)
-  np.testing.assert_allclose([motor.kp for motor in motors], command.stiffness[::-1])
-  np.testing.assert_allclose([motor.kd for motor in motors], command.damping[::-1])
+  for name, wanted in (("q", command.position), ("kp", command.stiffness), ("kd", command.damping)):
+    motors = [getattr(motor, name) for motor in message.motor_cmd[:count]]
+    np.testing.assert_allclose(motors, wanted[::-1], rtol=1e-6)
   if facts.sends_mode:
     assert message.mode_machine == 5
   for each in (subscriber, publisher, *robot.channels):

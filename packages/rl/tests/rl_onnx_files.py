@@ -63,8 +63,7 @@ def linear_policy(
     nodes.append(helper.make_node("Identity", [other], [f"{other}_copy"]))
   initializers = [numpy_helper.from_array(value, name) for name, value in constants.items()]
   graph = helper.make_graph(nodes, "policy", inputs, outputs, initializers)
-  model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)])
-  model.ir_version = 9
+  model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
   helper.set_model_props(model, metadata or {})
   onnx.save(model, path)
   return path

@@ -44,11 +44,8 @@ class ArmEnv(PointEnv):
 
   def __init__(self) -> None:
     super().__init__(PointEnvCfg(scene=PointSceneCfg(num_envs=2)))
-    actuators = (
-      SimpleNamespace(
-        target_names_expr=("hip", "knee"), transmission_type="joint", stiffness=40.0, damping={".*": 2.0}
-      ),
-    )
+    motors = {"target_names_expr": ("hip", "knee"), "transmission_type": "joint"}
+    actuators = (SimpleNamespace(**motors, stiffness=40.0, damping={".*": 2.0}),)
     robot = SimpleNamespace(
       joint_names=JOINTS,
       data=SimpleNamespace(default_joint_pos=torch.tensor([[0.1, -0.2, 0.3333]])),
@@ -117,11 +114,7 @@ def test_inputs_are_fed_by_their_name_and_outputs_of_a_motion_are_ignored(tmp_pa
     ("command_names", "motion", "command_names: motion only in the file, twist only here"),
     ("observation_names", "joint_vel,joint_pos", "observation_names: another order, from position 0"),
     ("observation_terms_scale", "0.500,2.000", "observation_terms_scale: 'joint_vel' has 2 in the file and 1 here"),
-    (
-      "observation_terms_history_length",
-      "0,5",
-      "observation_terms_history_length: 'joint_vel' has 5 in the file",
-    ),
+    ("observation_terms_history_length", "0,5", "observation_terms_history_length: 'joint_vel' has 5 in the file"),
     ("observation_terms_flatten_history_dim", "1,0", "observation_terms_flatten_history_dim: 'joint_vel'"),
     ("observation_terms_clip", "-inf;inf,-1;1", "observation_terms_clip: 'joint_vel' has -1, 1 in the file and -2, 2"),
     ("action_scale", "0.500", "action_scale: 'hip' has 0.5 in the file and 0.25 here"),
@@ -155,28 +148,26 @@ def test_actions_in_another_order_than_the_joints_of_the_file_are_refused(tmp_pa
   ],
 )
 def test_a_network_that_does_not_fit_is_refused_by_name(tmp_path: Path, options: Any, message: str) -> None:
-  env = ArmEnv()
+  env, file = ArmEnv(), linear_policy(tmp_path / "p.onnx", **({"weights": WEIGHTS} | options))
   with pytest.raises(FileError, match=message):
-    OnnxPolicy(linear_policy(tmp_path / "p.onnx", **({"weights": WEIGHTS} | options)), AGENT, env)(
-      env.get_observations()
-    )
+    OnnxPolicy(file, AGENT, env)(env.get_observations())
 
 
-def test_a_history_of_one_frame_is_none(tmp_path: Path) -> None:
+def test_a_history_of_one_frame_equals_a_term_without_history(tmp_path: Path) -> None:
   env = ArmEnv()
   env.layouts = [replace(LAYOUTS[0], history_length=1), LAYOUTS[1]]
   OnnxPolicy(linear_policy(tmp_path / "p.onnx", WEIGHTS, metadata=METADATA), AGENT, env)
 
 
 def test_actions_that_are_not_finite_are_counted(tmp_path: Path) -> None:
-  env, told = ArmEnv(), []
+  env, calls = ArmEnv(), []
   weights = WEIGHTS.copy()
   weights[0] = np.inf
-  policy = FinitePolicy(OnnxPolicy(linear_policy(tmp_path / "p.onnx", weights), AGENT, env), lambda: told.append(1))
+  policy = FinitePolicy(OnnxPolicy(linear_policy(tmp_path / "p.onnx", weights), AGENT, env), lambda: calls.append(1))
   seen = {"actor": torch.zeros(2, 9)}
   assert policy.num_broken == 0
   for _ in range(3):
     # 0 x infinity is NaN.
     policy(seen)
   assert policy.num_broken == 6
-  assert told == [1]
+  assert calls == [1]

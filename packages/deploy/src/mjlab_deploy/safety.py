@@ -55,7 +55,7 @@ class Safety:
 
   def reset(self) -> None:
     """Forget earlier messages."""
-    self._same, self._last = 0, None
+    self._same, self._last = 0, np.empty(0)
     self._sequence: int | None = None
     self._losses: deque[bool] = deque(maxlen=self.limits.loss_window)
 
@@ -65,16 +65,14 @@ class Safety:
     seen = np.concatenate((state.position, state.velocity, state.gyro, state.orientation))
     if not np.isfinite(seen).all():
       return "a measurement is not finite"
-    self._same = self._same + 1 if self._last is not None and np.array_equal(seen, self._last) else 0
+    self._same = self._same + 1 if np.array_equal(seen, self._last) else 0
     self._last = seen
     if self._same >= limits.frozen_messages:
       return f"sensors are frozen: {self._same + 1} equal messages"
-    if self._sequence is not None:
-      missed = state.sequence - self._sequence - 1
-      if missed < 0:
-        return "messages come in the wrong order"
-      self._losses.extend([True] * min(missed, limits.loss_window))
-    self._losses.append(False)
+    missed = 0 if self._sequence is None else state.sequence - self._sequence - 1
+    if missed < 0:
+      return "messages come in the wrong order"
+    self._losses.extend([True] * min(missed, limits.loss_window) + [False])
     self._sequence = state.sequence
     lost = sum(self._losses)
     # The share is of a full window, so that one message lost at the start does not count as many.

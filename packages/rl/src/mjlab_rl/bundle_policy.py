@@ -62,10 +62,13 @@ class BundlePolicy:
   def __init__(self, path: Path, env: RlEnv) -> None:
     from mjlab_deploy import Policy
 
+    from mjlab_rl.policy_graph import readings_of
+
     self._env: Any = env
     with _opened(path) as bundle:
       description, policy = bundle.description, Policy(bundle)
-    found = _readings(self._env, list(dict.fromkeys(term.group for term in description.observations)))
+    groups = dict.fromkeys(term.group for term in description.observations)
+    found = readings_of(self._env, [group for group in groups if group in self._env.observation_manager.active_terms])
     refuse(f"bundle {path}", _differences(description, found, self._env))
     self._readings = {item.name: found[item.name] for item in description.inputs}
     # One session, and a memory for each world.
@@ -86,19 +89,6 @@ class BundlePolicy:
     for i, policy in enumerate(self._policies):
       if dones is None or bool(dones[i]):
         policy.reset()
-
-
-def _readings(env: Any, groups: list[str]) -> dict[str, Any]:
-  """Return the readings of observation groups and of the actions by name."""
-  manager, found = env.observation_manager, {}
-  for group in groups:
-    if group in manager.active_terms:
-      for layout in manager.layout(group):
-        found |= {reading.name: reading for reading in manager.source(group, layout.name).readings}
-  for name in env.action_manager.term_slices():
-    targets = env.action_manager.get_term(name).exported()
-    found |= {reading.name: reading for reading in (targets.readings if targets is not None else ())}
-  return found
 
 
 def _differences(description: "Description", readings: Mapping[str, Any], env: Any) -> Iterator[str]:

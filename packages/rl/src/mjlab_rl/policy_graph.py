@@ -4,7 +4,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,27 @@ class GraphAction:
     return f"memory/target/{self.name}"
 
 
+def readings_of(env: Any, groups: Iterable[str]) -> dict[str, Any]:
+  """Return the readings of observation groups and of all actions by name.
+
+  Raises:
+    MjlabError: A term has no source, or two readings of one name differ.
+  """
+  owners = {}
+  for group in groups:
+    for layout in env.observation_manager.layout(group):
+      owners[f"observation '{group}/{layout.name}'"] = env.observation_manager.source(group, layout.name)
+  for name in env.action_manager.term_slices():
+    owners[f"action '{name}'"] = env.action_manager.get_term(name).exported()
+  found: dict[str, Any] = {}
+  for owner, source in owners.items():
+    for reading in source.readings if source is not None else ():
+      known = found.setdefault(reading.name, reading)
+      if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
+        raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
+  return found
+
+
 class PolicyGraph(nn.Module):
   """Observations, network and actions of an environment in one module, for one world.
 
@@ -72,7 +93,7 @@ class PolicyGraph(nn.Module):
       self.network: Any = network.as_onnx(verbose=False).to("cpu").eval()
     self.groups = list(agent.obs_groups[agent.policy])
     self._clip = agent.clip_actions
-    self.readings: dict[str, Any] = {}
+    self.readings = readings_of(env, self.groups)
     """Readings by name, without the last action."""
     self.memories: dict[str, tuple[int, ...]] = {}
     """Shape of each memory by the name of its input."""
@@ -80,6 +101,8 @@ class PolicyGraph(nn.Module):
       self._term(env, group, layout) for group in self.groups for layout in env.observation_manager.layout(group)
     ]
     """Observation terms in the order of the network's input."""
+    if self.readings.pop("last_action", None) is not None:
+      self.memories[LAST_ACTION] = (1, env.action_manager.total_action_dim)
     self.actions = [self._action(env, name, columns) for name, columns in env.action_manager.term_slices().items()]
     """Action terms in the order of the raw action."""
     self.targets: dict[str, list[GraphAction]] = {}
@@ -97,11 +120,6 @@ class PolicyGraph(nn.Module):
   def _term(self, env: Any, group: str, layout: Any) -> GraphTerm:
     manager = env.observation_manager
     source, cfg = manager.source(group, layout.name), manager.get_term_cfg(group, layout.name)
-    for reading in source.readings:
-      if f"memory/{reading.name}" == LAST_ACTION:
-        self.memories[LAST_ACTION] = (1, env.action_manager.total_action_dim)
-      else:
-        self._add(reading, f"observation '{group}/{layout.name}'")
     described = Observation(
       group=group,
       name=layout.name,
@@ -118,18 +136,11 @@ class PolicyGraph(nn.Module):
       self.memories[term.memory] = (1, layout.history_length, *layout.frame_shape)
     return term
 
-  def _add(self, reading: Any, owner: str) -> None:
-    known = self.readings.setdefault(reading.name, reading)
-    if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
-      raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
-
   def _action(self, env: Any, name: str, columns: slice) -> GraphAction:
     term = env.action_manager.get_term(name)
     if (targets := term.exported()) is None:
       what = f"action '{name}' ({type(term).__name__}) has no computation outside the simulation"
       raise MjlabError(f"{what}, so the policy cannot be exported; use an action that sets joint targets")
-    for reading in targets.readings:
-      self._add(reading, f"action '{name}'")
     action = GraphAction(name, term, columns, targets)
     if targets.start is not None:
       self.memories[action.memory] = (1, len(targets.joints))
