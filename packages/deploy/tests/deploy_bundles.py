@@ -114,7 +114,7 @@ def save_policy(path: Path) -> None:
 def write_bundle(
   folder: Path, description: Description = DESCRIPTION, *, golden: bool = False, scene: str = SCENE
 ) -> Path:
-  """Write a bundle, perhaps with a record of 100 steps of its own scene."""
+  """Write a bundle; `golden` adds a record of 100 steps in its scene."""
   folder.mkdir(parents=True, exist_ok=True)
   save_policy(folder / "policy.onnx")
   (folder / "scene.xml").write_text(scene)

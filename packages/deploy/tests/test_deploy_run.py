@@ -63,7 +63,7 @@ def test_a_mistake_is_reported(
 def test_a_robot_in_damping_ends_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
   slow = replace(DESCRIPTION, robot=replace(DESCRIPTION.robot, joints=(replace(HINGE, velocity_limit=1e-3),)))
   assert main(["run", str(write_bundle(tmp_path / "bundle", slow)), "--seconds", "3"]) == 1
-  assert "let go after" in capsys.readouterr().out
+  assert "damping after" in capsys.readouterr().out
 
 
 def test_motors_without_a_servo_are_driven_alike(tmp_path: Path) -> None:

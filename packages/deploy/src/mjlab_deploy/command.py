@@ -35,9 +35,9 @@ def _parser() -> argparse.ArgumentParser:
   verify.add_argument("bundle", help="folder or zip")
   verify.set_defaults(function=_verify)
   run = commands.add_parser("run", help="run a policy in MuJoCo C through the messages of a robot")
-  run.add_argument("bundle", help="folder or zip, or a network of others (.onnx) with --model")
-  run.add_argument("--model", metavar="ROBOT.xml", help="MJCF file of the robot of a network of others")
-  run.add_argument("--rate", type=float, help="rate of a network of others [Hz]; default: that of deploy.yaml, or 50")
+  run.add_argument("bundle", help="folder or zip, or a network of another project (.onnx) with --model")
+  run.add_argument("--model", metavar="ROBOT.xml", help="MJCF file of the robot of such a network")
+  run.add_argument("--rate", type=float, help="rate of such a network [Hz]; default: that of deploy.yaml, or 50")
   run.add_argument(
     "--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . or a gamepad give commands"
   )

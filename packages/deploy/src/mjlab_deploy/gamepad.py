@@ -17,7 +17,7 @@ _STOP_BUTTON = 1
 
 
 class Gamepad:
-  """Gamepad that steers a runner: left stick forward and sideways, right stick turns, button B lets the robot go.
+  """Gamepad that steers a runner: left stick forward and sideways, right stick turns, button B stops it.
 
   Args:
     read: Returns the present reading; None while no gamepad is connected.

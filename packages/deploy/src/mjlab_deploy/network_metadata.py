@@ -125,7 +125,7 @@ def _observations(rows: Iterable[Sequence[Any]], num_joints: int, anchor: str | 
   """Return the observations of a network in the order of its input.
 
   Args:
-    rows: Name, scale, clip and history length of each; empty lists where there is none.
+    rows: Name, scale, clip and history length of each; a missing setting is an empty list.
     num_joints: Number of joints.
     anchor: Body of the clip that the policy follows; None without a clip.
 

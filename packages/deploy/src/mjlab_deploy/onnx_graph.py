@@ -17,7 +17,7 @@ _DTYPES = {
 
 
 class OnnxGraph:
-  """Graph of a bundle, or network of another project, in one file. It runs on one thread of the CPU.
+  """Graph of a bundle, or network of another project, in one file. It runs on one CPU thread.
 
   Args:
     data: Content of the file.

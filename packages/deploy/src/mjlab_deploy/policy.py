@@ -38,7 +38,7 @@ class Policy:
     self.description = bundle.description
     graph: OnnxGraph | NetworkGraph = OnnxGraph(bundle.read_bytes("policy.onnx"))
     if "obs" in graph.inputs:
-      # A network of others, which takes observations instead of readings.
+      # A network of another project takes observations instead of readings.
       with reading("policy.onnx", LookupError, ValueError):
         graph = NetworkGraph(graph, self.description)
     self._graph, given = graph, graph.inputs

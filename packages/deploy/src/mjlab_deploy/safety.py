@@ -60,7 +60,7 @@ class Safety:
     self._losses: deque[bool] = deque(maxlen=self.limits.loss_window)
 
   def check_message(self, state: RobotState) -> str | None:
-    """Return why a new message ends the policy; None if it does not."""
+    """Return the reason for which a new message ends the policy; None if it does not."""
     limits = self.limits
     seen = np.concatenate((state.position, state.velocity, state.gyro, state.orientation))
     if not np.isfinite(seen).all():

@@ -107,7 +107,7 @@ class SimulatedRun:
   def summary(self) -> str:
     """Return the result in one line."""
     if self.runner.phase == "damping":
-      return f"let go after {self.robot.time:.2f} s: {self.runner.reason}"
+      return f"damping after {self.robot.time:.2f} s: {self.runner.reason}"
     log = self.log()
     error = np.abs(log["position"] - log["target"])[log["is_policy"] > 0]
     mean = float(error.mean()) if error.size else 0.0

@@ -6,6 +6,7 @@ Keys that are missing in the file are not compared.
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -85,13 +86,9 @@ def _action_terms(env: Any) -> list[Any]:
 
 def _name_differences(metadata: Mapping[str, str], key: str, ours: list[str]) -> Iterator[str]:
   theirs = metadata_words(metadata, key) if key in metadata else ours
-  missing, added = [name for name in theirs if name not in ours], [name for name in ours if name not in theirs]
-  if missing or added:
-    parts = [f"{_listed(missing)} only in the file" if missing else "", f"{_listed(added)} only here" if added else ""]
-    yield f"{key}: {', '.join(part for part in parts if part)}"
-  elif theirs != ours:
-    i = next((i for i, (a, b) in enumerate(zip(theirs, ours, strict=False)) if a != b), min(len(theirs), len(ours)))
-    yield f"{key}: another order, from position {i}: {_listed(theirs[i:])} in the file and {_listed(ours[i:])} here"
+  differs = (i for i, (one, other) in enumerate(zip_longest(theirs, ours)) if one != other)
+  if (i := next(differs, None)) is not None:
+    yield f"{key}: {_listed(theirs[i:])} in the file and {_listed(ours[i:])} here, from position {i}"
 
 
 def _number_differences(
@@ -116,7 +113,7 @@ def _number_differences(
 
 
 def _listed(names: Sequence[str]) -> str:
-  shown = ", ".join(printable(name, 60) for name in names[:4])
+  shown = ", ".join(printable(name, 60) for name in names[:4]) or "nothing"
   return shown + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
