@@ -76,6 +76,11 @@ def images_are_those_of_the_record(bundle: Bundle) -> None:
       assert np.median(away) < (1e-5 if name.endswith("depth") else 0.05), (name, step)
 
 
+def assert_runs(run: SimulatedRun) -> None:
+  run.run(1.2)
+  assert run.runner.phase == "policy", run.runner.reason
+
+
 def sources(bundle: Bundle) -> set[str]:
   return {source for term in bundle.description.observations for source in term.sources}
 
@@ -109,8 +114,7 @@ def test_a_policy_of_each_family_repeats_its_record_and_its_trajectory_and_runs(
           pytest.skip(str(error))
         raise
       images_are_those_of_the_record(bundle)
-      run.run(1.2)
-      assert run.runner.phase == "policy", run.runner.reason
+      assert_runs(run)
     else:
       with pytest.raises(DeployError, match=refusal):
         SimulatedRun(bundle)
@@ -125,9 +129,7 @@ def test_a_policy_of_the_sim_to_real_preset_is_verified_and_runs(tmp_path: Path)
     assert sources(bundle) == MEASURED
     report = verify(bundle)
     assert report.passed, report.failures
-    run = SimulatedRun(bundle, latency=0.004, command=[0.5, 0.0, 0.0])
-    run.run(1.2)
-    assert run.runner.phase == "policy", run.runner.reason
+    assert_runs(SimulatedRun(bundle, latency=0.004, command=[0.5, 0.0, 0.0]))
 
 
 def test_an_action_that_needs_the_robots_model_is_refused_by_name(tmp_path: Path) -> None:
@@ -172,9 +174,7 @@ def test_unitrees_file_has_gains_of_motors_and_terms_of_its_runner(
       readings = {item.name: rng.normal(0.0, 0.3, item.shape) for item in own_bundle.description.inputs}
       step, wanted = theirs.step(readings), own.step(readings)
       np.testing.assert_allclose(step.targets["target/position"], wanted.targets["target/position"], atol=1e-5)
-    run = SimulatedRun(bundle)
-    run.run(1.2)
-    assert run.runner.phase == "policy", run.runner.reason
+    assert_runs(SimulatedRun(bundle))
 
 
 def test_a_term_that_unitrees_runner_lacks_is_named(folder_of: Callable[[str], Path]) -> None:
@@ -231,9 +231,8 @@ def test_a_tracking_policy_is_the_pair_that_lerobot_reads(folder_of: Callable[[s
   step = policy.step({item.name: readings[item.name] for item in description.inputs})
   np.testing.assert_allclose(step.observations["actor"], obs[0], atol=1e-5)
   action = np.asarray(session.run(["actions"], {"obs": obs, "time_step": np.full((1, 1), 4, np.float32)})[0])
-  np.testing.assert_allclose(
-    gains["default_joint_pos"] + action[0] * gains["action_scale"], step.targets["target/position"], atol=1e-5
-  )
+  target = gains["default_joint_pos"] + action[0] * gains["action_scale"]
+  np.testing.assert_allclose(target, step.targets["target/position"], atol=1e-5)
   # The network itself, read by its metadata, drives the robot alike. Its clip begins a frame earlier.
   with adopted(folder / "policy.onnx", ours / "scene.xml") as bundle:
     assert bundle.description.robot.joints[3].stiffness == description.robot.joints[3].stiffness
@@ -245,6 +244,4 @@ def test_a_tracking_policy_is_the_pair_that_lerobot_reads(folder_of: Callable[[s
       np.testing.assert_allclose(shown[name][rows], clip[name], atol=1e-4)
     targets = again.step({item.name: readings[item.name] for item in bundle.description.inputs}).targets
     np.testing.assert_allclose(targets["target/position"], step.targets["target/position"], atol=1e-5)
-    run = SimulatedRun(bundle)
-    run.run(1.2)
-    assert run.runner.phase == "policy", run.runner.reason
+    assert_runs(SimulatedRun(bundle))

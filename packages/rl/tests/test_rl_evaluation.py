@@ -7,16 +7,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab_core.errors import MjlabError
-from mjlab_rl import (
-  Episodes,
-  Evaluation,
-  Interval,
-  Threshold,
-  bootstrap,
-  play_first_episodes,
-  summarize,
-  wilson,
-)
+from mjlab_rl import Episodes, Evaluation, Interval, Threshold, bootstrap, play_first_episodes, summarize, wilson
 
 LENGTHS = (1, 3, 2, 5)
 FAILS = (True, False, True, False)
@@ -50,10 +41,23 @@ class Script:
     return {"actor": self.episode_length_buf[:, None].float()}
 
 
-def play(max_steps: int = 10) -> tuple[Any, Episodes]:
+class Recurrent:
+  """A policy whose actions are 100, and that keeps what it is asked to reset."""
+
+  def __init__(self) -> None:
+    self.resets: list[list[bool]] = []
+
+  def __call__(self, observations: Any) -> torch.Tensor:
+    return torch.full((4, 1), 100.0)
+
+  def reset(self, dones: torch.Tensor) -> None:
+    self.resets.append(dones.tolist())
+
+
+def play(max_steps: int = 10, policy: Any = None, **options: Any) -> tuple[Any, Episodes]:
   env: Any = Script()
-  actions = torch.full((4, 1), 100.0)
-  return env, play_first_episodes(env, lambda _: actions, lambda: {"state": env.terminal}, max_steps=max_steps, seed=7)
+  options |= {"max_steps": max_steps, "seed": 7}
+  return env, play_first_episodes(env, policy or Recurrent(), lambda: {"state": env.terminal}, **options)
 
 
 def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -> None:
@@ -70,15 +74,10 @@ def test_only_the_first_episode_of_each_world_counts_with_its_terminal_state() -
   assert played.mean("state").tolist() == [10.0, 20.0, 15.0, 30.0]
 
 
-def test_begin_is_called_between_the_reset_and_the_first_step() -> None:
-  env: Any = Script()
-  seen = []
-
-  def begin() -> None:
-    seen.append((len(env.seeds), env.terminal.tolist()))
-
-  play_first_episodes(env, lambda _: torch.zeros(4, 1), dict, max_steps=3, begin=begin)
-  assert seen == [(1, [0.0] * 4)]
+def test_begin_is_called_once_before_the_first_step() -> None:
+  calls: list[Any] = []
+  play(3, begin=lambda: calls.append("begin"), progress=lambda *numbers: calls.append(numbers))
+  assert calls == ["begin", (1, 3, 4), (2, 2, 4), (3, 1, 4)]
 
 
 def test_an_episode_that_is_not_over_at_the_last_step_has_neither_ended_nor_failed() -> None:
@@ -89,18 +88,9 @@ def test_an_episode_that_is_not_over_at_the_last_step_has_neither_ended_nor_fail
 
 
 def test_a_recurrent_policy_is_reset_where_episodes_ended() -> None:
-  env: Any = Script()
-  resets = []
-
-  class Recurrent:
-    def __call__(self, observations: Any) -> torch.Tensor:
-      return torch.zeros(4, 1)
-
-    def reset(self, dones: torch.Tensor) -> None:
-      resets.append(dones.tolist())
-
-  play_first_episodes(env, Recurrent(), dict, max_steps=2)
-  assert resets == [[True, False, False, False], [True, False, True, False]]
+  policy = Recurrent()
+  play(2, policy)
+  assert policy.resets == [[True, False, False, False], [True, False, True, False]]
 
 
 def test_an_interval_is_that_of_the_mean() -> None:
