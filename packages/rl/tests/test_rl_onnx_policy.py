@@ -142,7 +142,7 @@ def test_actions_in_another_order_than_the_joints_of_the_file_are_refused(tmp_pa
 @pytest.mark.parametrize(
   ("options", "message"),
   [
-    ({"other": "wind"}, "meaning of input 'wind' does not exist"),
+    ({"other": "wind"}, r"Required inputs \(\['wind'\]\) are missing"),
     ({"weights": np.ones((7, 3))}, "invalid dimensions for input: obs .* Got: 9 Expected: 7"),
     ({"weights": np.ones((9, 2))}, r"its actions are \(1, 2\), the environment takes \(1, 3\)"),
   ],

@@ -1,7 +1,7 @@
 """Contents of `bundle.json`."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -14,7 +14,6 @@ LAST_ACTION = "memory/last_action"
 ACTION = "action"
 """Output: the raw action of the network."""
 
-ArrayT = TypeVar("ArrayT", bound=Any)
 Numbers = tuple[float, ...]
 Range = tuple[float, float]
 
@@ -160,7 +159,7 @@ class Observation:
   delay_range: tuple[int, int] = (0, 0)
   """Delays that the training drew [policy steps]; not part of the graph."""
 
-  def part(self, group: ArrayT) -> ArrayT:
+  def part(self, group: Any) -> Any:
     """Return the columns of this term in the observation of its group, an array or a tensor without a first axis."""
     return group[slice(*self.columns)] if self.columns[1] else group
 

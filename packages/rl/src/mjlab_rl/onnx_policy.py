@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from mjlab_core import printable, unknown
+from mjlab_core import printable
 from mjlab_core.errors import FileError
 from mjlab_core.files import reading
 
@@ -31,7 +31,7 @@ class OnnxPolicy:
     env: Environment that it acts in.
 
   Raises:
-    FileError: It cannot be read, an input has another name, or it does not fit the environment.
+    FileError: It cannot be read, or it does not fit the environment.
   """
 
   def __init__(self, path: Path, agent: RslRlBaseRunnerCfg, env: RlEnv) -> None:
@@ -47,8 +47,8 @@ class OnnxPolicy:
       self._network = OnnxGraph(onnx.load(path).SerializeToString())
       self._input, self._images = self._read_inputs()
       refuse(f"policy {path}:", metadata_differences(self._network.metadata, env, self._groups))
-    self._memory: list[dict[str, np.ndarray]] = [{} for _ in range(env.num_envs)]
-    self.reset(None)
+      self._memory: list[dict[str, np.ndarray]] = [{} for _ in range(env.num_envs)]
+      self.reset(None)
 
   def _read_inputs(self) -> tuple[str, list[str]]:
     """Return the input of vectors, and the image groups that are inputs."""
@@ -58,9 +58,6 @@ class OnnxPolicy:
     vectors = left[0] if len(left) == 1 and len(inputs[left[0]]) == 2 else "obs"
     if vectors not in left:
       raise FileError(f"has no input 'obs' among its inputs: {printable(', '.join(inputs), 200) or 'none'}")
-    if others := [name for name in left if name != vectors]:
-      known = ["obs", "time_step", *self._groups, "h_in", "c_in"]
-      raise FileError(unknown("meaning of input", printable(others[0], 80), known))
     return vectors, images
 
   def __call__(self, observations: Mapping[str, torch.Tensor]) -> torch.Tensor:

@@ -33,6 +33,22 @@ class GraphTerm:
     """Name of the memory of its history."""
     return f"memory/history/{self.described.group}/{self.described.name}"
 
+  def observe(self, given: Tensors, following: dict[str, torch.Tensor]) -> torch.Tensor:
+    """Return the observation for inputs by name, and put its history into `following`."""
+    described = self.described
+    inputs = [given[name if name in given else f"memory/{name}"] for name in described.sources]
+    frame = (inputs[0] if self.compute is None else self.compute(*inputs)).float()
+    if described.clip is not None:
+      frame = frame.clamp(*described.clip)
+    if described.scale is not None:
+      scale = torch.as_tensor(described.scale, dtype=torch.float32)
+      frame = frame * (scale if scale.dim() == 0 else scale.view(frame.shape))
+    if described.history_length > 1:
+      newest = frame[:, None]
+      past = _last(given, self.memory, newest)
+      frame = following[self.memory] = torch.cat((past[:, 1:], newest), 1)
+    return frame.reshape(1, *described.shape)
+
 
 @dataclass(frozen=True)
 class GraphAction:
@@ -49,6 +65,21 @@ class GraphAction:
   def memory(self) -> str:
     """Name of the memory of its last targets."""
     return f"memory/target/{self.name}"
+
+  def act(self, action: torch.Tensor, given: Tensors, following: dict[str, torch.Tensor]) -> torch.Tensor:
+    """Return the targets for a raw action and inputs by name, and put them into `following` if they are remembered."""
+    mine, readings = action[:, self.columns], [given[reading.name] for reading in self.targets.readings]
+    if self.targets.start is None:
+      return self.targets.compute(mine, *readings)
+    target = self.targets.compute(mine, _last(given, self.memory, self.targets.start(*readings)), *readings)
+    following[self.memory] = target + 0.0
+    return target
+
+
+def _last(given: Tensors, memory: str, first: torch.Tensor) -> torch.Tensor:
+  """Return a memory; at the start of an episode it is filled with `first`."""
+  start = given[EPISODE_START].view(1, *[1] * (first.dim() - 1))
+  return start * first + (1.0 - start) * given[memory]
 
 
 def readings_of(env: Any, groups: Iterable[str]) -> dict[str, Any]:
@@ -172,7 +203,7 @@ class PolicyGraph(nn.Module):
     following: dict[str, torch.Tensor] = {}
     seen: dict[str, list[torch.Tensor]] = {group: [] for group in self.groups}
     for term in self.terms:
-      seen[term.described.group].append(self._observe(term, given, following))
+      seen[term.described.group].append(term.observe(given, following))
     observations = {group: torch.cat(parts, 1) for group, parts in seen.items()}
     # Images are separate inputs of the network.
     inputs: list[str] = list(self.network.input_names)
@@ -188,41 +219,9 @@ class PolicyGraph(nn.Module):
       following[memory] = outputs[name.replace("_in", "_out")]
     # Copies, because one tensor cannot have two names.
     following[LAST_ACTION] = action + 0.0
-    targets = [
-      torch.cat([self._target(part, action, given, following) for part in parts], 1) for parts in self.targets.values()
-    ]
+    targets = [torch.cat([part.act(action, given, following) for part in parts], 1) for parts in self.targets.values()]
     shown = [observations[group] + 0.0 for group in self.groups]
     return (*targets, action, *shown, *(following[name] for name in self.memories))
-
-  @staticmethod
-  def _observe(term: GraphTerm, given: Tensors, following: dict[str, torch.Tensor]) -> torch.Tensor:
-    described = term.described
-    inputs = [given[name if name in given else f"memory/{name}"] for name in described.sources]
-    frame = (inputs[0] if term.compute is None else term.compute(*inputs)).float()
-    if described.clip is not None:
-      frame = frame.clamp(*described.clip)
-    if described.scale is not None:
-      scale = torch.as_tensor(described.scale, dtype=torch.float32)
-      frame = frame * (scale if scale.dim() == 0 else scale.view(frame.shape))
-    if described.history_length > 1:
-      past = torch.cat((given[term.memory][:, 1:], frame[:, None]), 1)
-      start = given[EPISODE_START].view(1, *[1] * (past.dim() - 1))
-      # At the start of an episode the past is filled with the present.
-      frame = following[term.memory] = start * frame[:, None].expand_as(past) + (1.0 - start) * past
-    return frame.reshape(1, *described.shape)
-
-  @staticmethod
-  def _target(
-    part: GraphAction, action: torch.Tensor, given: Tensors, following: dict[str, torch.Tensor]
-  ) -> torch.Tensor:
-    mine, readings = action[:, part.columns], [given[reading.name] for reading in part.targets.readings]
-    if part.targets.start is None:
-      return part.targets.compute(mine, *readings)
-    start = given[EPISODE_START]
-    last = start * part.targets.start(*readings) + (1.0 - start) * given[part.memory]
-    target = part.targets.compute(mine, last, *readings)
-    following[part.memory] = target + 0.0
-    return target
 
 
 def export_onnx(
