@@ -24,10 +24,12 @@ REFUSALS = [
   ({"solver": "newtn"}, "solver 'newtn' does not exist. Nearest: newton"),
   ({"disableflags": ("contac",)}, "disableflags 'contac' does not exist. Nearest: contact"),
   ({"disableflags": ("mjndisable",)}, "disableflags 'mjndisable' does not exist"),
+  ({"broadphase": "sap"}, "broadphase 'sap' does not exist"),
+  ({"broadphase_filter": ("obbb",)}, "broadphase_filter 'obbb' does not exist"),
   ({"enableflags": ("enrgy",)}, "enableflags 'enrgy' does not exist. Nearest: energy"),
 ]
 WARP_REFUSALS = [
-  ({"solver": "pgs"}, "mjSOL_PGS is unsupported. Change the model or its options, or use engine 'native' on a CPU"),
+  ({"solver": "pgs"}, "mjSOL_PGS is unsupported. Its solvers are 'newton' and 'cg'"),
   ({"integrator": "rk4"}, "choose 'implicitfast', 'implicit' or 'euler'"),
   ({"disableflags": ("midphase",)}, "mjDSBL_MIDPHASE is unsupported"),
   ({"enableflags": ("fwdinv",)}, "mjENBL_FWDINV is unsupported"),

@@ -42,7 +42,7 @@ class NanGuardCfg(Config):
 
 @dataclass(kw_only=True)
 class SimulationCfg(Config):
-  """Physics options and buffer sizes. `None` keeps what the model itself says."""
+  """Physics options and buffer sizes. `None` keeps the option of the model."""
 
   timestep: Positive | None = None
   """Duration of one physics step [s]."""
@@ -70,8 +70,8 @@ class SimulationCfg(Config):
   """Names of `mjtEnableBit`, likewise."""
 
   nconmax: PositiveCount | Literal["auto"] = "auto"
-  """Contacts per world on MuJoCo Warp, on average over worlds: the pool is shared. `auto` begins with what the model
-  suggests, and grows when demand comes near."""
+  """Contacts per world on MuJoCo Warp, on average over worlds: the pool is shared. `auto` begins with a size that
+  follows from the model, and grows when demand comes near."""
   njmax: PositiveCount | Literal["auto"] = "auto"
   """Constraint rows of each world on MuJoCo Warp. `auto` likewise."""
   broadphase: Literal["nxn", "sap_tile"] | None = None

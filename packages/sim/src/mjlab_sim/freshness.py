@@ -93,7 +93,7 @@ class Freshness:
     if field is None:
       field = self.model_fields[name] = self.engine.model_field(name)
       self._watched.append(plain(field))
-      # Its memory may have been written before: only what comes now counts.
+      # Its memory may have been written before: only later writes count.
       self._model_version += version_of(field)
     return field
 

@@ -23,7 +23,7 @@ class RayCaster:
     """Unit directions of the rays of the next cast, world frame, (num_envs, num_rays, 3); write it in place."""
 
   def cast(self, origins: torch.Tensor | None = None, directions: torch.Tensor | None = None) -> RayHits:
-    """Cast the rays in `origins` and `directions`; what is given is written there first."""
+    """Cast the rays in `origins` and `directions`; arguments are written there first."""
     for given, rays in ((origins, self.origins), (directions, self.directions)):
       if given is not None:
         rays.copy_(given)

@@ -25,8 +25,8 @@ class Simulation:
 
   Nothing read from here is stale. State (`qpos`, `qvel`, `ctrl`, ...) is plain memory that any code may write. All
   else follows from it and is recomputed when it is read after a write: in-place writes are seen through torch's version
-  counters, through any view. After `step` positions, velocities and what follows from
-  them describe the new state; accelerations, forces and contact sensors describe the substep just done.
+  counters, through any view. After `step`, quantities of positions and velocities describe the new state;
+  accelerations, forces and contact sensors describe the substep just done.
 
   Args:
     num_envs: Number of worlds.
@@ -152,7 +152,7 @@ class Simulation:
       self._fields.rebase_default(name)
 
   def recompute_constants(self, mask: torch.Tensor | None = None) -> None:
-    """Recompute what MuJoCo's compiler derives (inverse weights, subtree masses, ...) after a model field changed.
+    """Recompute derived constants (inverse weights, subtree masses, ...) after a model field changed.
 
     Args:
       mask: Worlds whose fields changed, bool (num_envs,); all by default.
@@ -261,7 +261,7 @@ class Simulation:
       camera: Number of the camera.
       width: Pixels of a row.
       height: Rows.
-      data_types: What to draw.
+      data_types: Kinds of images.
       geomgroup: Which of the six geom groups are seen; all by default.
       textures: Draw textures.
       shadows: Let lights cast shadows.
@@ -292,7 +292,7 @@ class Simulation:
     return self._fixed_geometry is None or self._fixed_geometry.is_in_place()
 
   def overflow_report(self) -> list[str]:
-    """Return what did not fit, one line each with the settings that give room. Reads the device.
+    """Return one line for each buffer that was too small, with the settings that give room. Reads the device.
 
     A line appears once, and again only when the demand has outgrown its advice: each advice is twice the demand. One
     line for each growth of a buffer has the sizes that a repeat to the last bit needs.

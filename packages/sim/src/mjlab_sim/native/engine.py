@@ -145,7 +145,7 @@ class NativeEngine:
       self._remember()
 
   def _take_model_writes(self) -> None:
-    """Give the batch what was written to shared fields, and mark the worlds whose constants were written.
+    """Pass writes to shared fields on to the batch, and mark the worlds whose constants were written.
 
     The batch runs on its own copy of the model, so that a write to a shared field reaches it as equal values for all
     worlds. Most resets are of few worlds, and so are their draws.

@@ -21,7 +21,7 @@ _POINTS = {
 _LYING = 2 / 3
 """Share of the moving geoms that touch flat ground at a time; robots that fell over have up to half."""
 _OBSERVED = 1.5
-"""Room for what the initial states of the model need, and for a demand that makes buffers grow."""
+"""Room as a multiple of the demand of initial states, and of a demand that makes buffers grow."""
 FULL = 0.8
 """Share of a buffer above which it grows: demand is seen some steps late."""
 

@@ -101,7 +101,8 @@ class WarpEngine:
       self._d = mjw.put_data(model, host, nworld=self._num_envs, **sizes)
     except (NotImplementedError, ValueError) as error:
       raise MjlabError(
-        f"MuJoCo Warp cannot run this model: {error} Change the model or its options, or use engine 'native' on a CPU."
+        f"MuJoCo Warp cannot run this model: {error} Its solvers are 'newton' and 'cg'. Change the option or the model,"
+        " or use engine 'native' on a CPU."
       ) from error
     option = self._m.opt
     option.contact_sensor_maxmatch = cfg.contact_sensor_maxmatch
@@ -221,7 +222,7 @@ class WarpEngine:
   def _forward(self, places: bool = False) -> None:
     if places:
       self._place()
-    # step1 clears all of sensordata and fills in only what follows from positions and velocities. The rest belongs
+    # step1 clears all of sensordata and computes only sensors of positions and velocities. The rest belongs
     # to the substep just done: it is copied and written back.
     if self._has_acceleration_sensors:
       wp.copy(self._saved_sensors, self._d.sensordata)

@@ -26,9 +26,9 @@ class InverseWeights:
   """Memory and launches for `dof_invweight0`, `body_invweight0`, `tendon_invweight0` and `actuator_acc0`.
 
   Args:
-    model: What is simulated.
+    model: The compiled model.
     m: The same in MuJoCo Warp.
-    d: Its data; its device is where all of this runs.
+    d: Its data, on the device of the computation.
   """
 
   def __init__(self, model: mujoco.MjModel, m: mjw.Model, d: mjw.Data) -> None:
@@ -52,8 +52,7 @@ class InverseWeights:
   def compute(self, mask: wp.array) -> None:
     """Derive the constants of the worlds in `mask`, shape (nworld,); `d` must hold the kinematics at qpos0.
 
-    Fields that all worlds share are those of world 0. `d.M` and what belongs to actuators are not left as the state
-    has them.
+    Fields that all worlds share are those of world 0. `d.M` and fields of actuators are overwritten.
     """
     m, d = self._m, self._d
     mjw.crb(m, d)

@@ -88,7 +88,7 @@ class Launcher:
 
   @contextlib.contextmanager
   def preserved(self) -> Generator[None, None, None]:
-    """Undo what launches do to any array of the data."""
+    """Restore all arrays of the data after launches."""
     saved = []
     for owner in (self._d, self._d.contact, self._d.efc):
       for field in dataclasses.fields(owner):

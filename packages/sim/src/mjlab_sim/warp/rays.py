@@ -1,4 +1,4 @@
-"""Rays on a GPU: a tree of triangles for what never moves, and all other geoms one by one."""
+"""Rays on a GPU: a tree of triangles for geoms that never move, and all other geoms one by one."""
 
 import itertools
 from typing import Any
