@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import torch
-from mjlab_core import ConfigError, Limits, NonNegativeRange, PositiveCount, Range, as_slice, check_fields, where_
+from mjlab_core import ConfigError, Limits, NonNegativeRange, PositiveCount, Range, as_slice, where_
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.noise import NoiseModel, NoiseModelCfg
@@ -66,7 +66,6 @@ class CameraNoise(NoiseModel):
 
   def __init__(self, cfg: CameraNoiseCfg, shape: tuple[int, ...], env: ManagerEnv) -> None:
     super().__init__(cfg, env)
-    check_fields(cfg, "CameraNoiseCfg")
     bounds = {name: getattr(cfg, name) for name in _RANGES}
     self._active = {name for name, bound in bounds.items() if tuple(bound) != _IDLE.get(name, (0.0, 0.0))}
     channels = {"color": cfg.color, "depth": () if cfg.depth is None else (cfg.depth,), "lost": cfg.lost}

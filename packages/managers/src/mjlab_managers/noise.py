@@ -111,7 +111,6 @@ class NoiseModelWithAdditiveBiasCfg(NoiseModelCfg):
 class _AdditiveBias(NoiseModel):
   def __init__(self, cfg: NoiseModelWithAdditiveBiasCfg, width: int, env: ManagerEnv) -> None:
     super().__init__(cfg, env)
-    check_fields(cfg, "NoiseModelWithAdditiveBiasCfg")
     self._per_component, whole = cfg.sample_bias_per_component, slice(0, width)
     self._bias_noise = FusedNoise([(whole, cfg.bias_noise_cfg)], env)
     self._noise = FusedNoise([(whole, cfg.noise_cfg)], env) if cfg.noise_cfg is not None else None

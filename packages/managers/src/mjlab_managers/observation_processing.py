@@ -97,6 +97,7 @@ class Processing(Stateful):
       noise = slot.noise
       with noting(path), placed("while making its noise"):
         if isinstance(noise, NoiseModelCfg):
+          check_fields(noise, type(noise).__name__)
           model = earlier.get(path)
           if model is None or model.cfg is not noise:
             model = noise.build(slot.frame_shape, env)

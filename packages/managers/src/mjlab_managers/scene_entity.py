@@ -144,13 +144,9 @@ def resolve_entities(value: Any, env: ManagerEnv) -> Any:
   else:
     return value
   resolved = {key: resolve_entities(part, env) for key, part in parts.items()}
-  if all(resolved[key] is part for key, part in parts.items()):
+  changed = {key: part for key, part in resolved.items() if part is not parts[key]}
+  if not changed:
     return value
   if isinstance(value, dict):
     return resolved
-  if isinstance(value, list | tuple):
-    return type(value)(*resolved.values()) if hasattr(value, "_fields") else type(value)(resolved.values())
-  twin = copy.copy(value)
-  for name, part in resolved.items():
-    object.__setattr__(twin, name, part)
-  return twin
+  return type(value)(resolved.values()) if isinstance(value, list | tuple) else dataclasses.replace(value, **changed)

@@ -1,7 +1,7 @@
 """Observations that any task can use."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import mujoco
 import torch
@@ -16,18 +16,16 @@ if TYPE_CHECKING:
 
   from mjlab_envs.env import ManagerBasedRlEnv
 
+T = TypeVar("T", bound=Callable[..., Any])
+
 _ROBOT = SceneEntityCfg("robot")
 
 # Sources, for the export of policies
 
 
-def _root_vector(name: str, unit: str, attribute: str, quantity: str) -> Callable[..., TermSource]:
-  """Return the source of a vector of an entity's root in its own frame."""
-
-  def source(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> TermSource:
-    return TermSource(readings=(of_root(env, asset.name, name, unit, attribute, quantity),))
-
-  return source
+def _is(reading: Callable[..., Reading]) -> Callable[[T], T]:
+  """Declare that a term is one reading, which a function of the environment and the parameters returns."""
+  return sourced(lambda env, **params: TermSource(readings=(reading(env, **params),)))
 
 
 def _joint_pos_rel(env: "ManagerBasedRlEnv", *, biased: bool, asset: SceneEntityCfg) -> TermSource:
@@ -55,44 +53,35 @@ def _generated_commands(env: "ManagerBasedRlEnv", *, command: str) -> TermSource
   return env.command_manager.get_term(command).source()
 
 
-def _builtin_sensor(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
-  return TermSource(readings=(sensor_reading(env, sensor),))
+def _height_scan(env: "ManagerBasedRlEnv", **params: Any) -> Reading:
+  return Reading(name=f"terrain/{params['sensor']}", read=lambda: height_scan(env, **params), unit="m")
 
 
-def _height_scan(env: "ManagerBasedRlEnv", *, sensor: str, offset: float, miss_value: float | None) -> TermSource:
-  def read() -> torch.Tensor:
-    return height_scan(env, sensor=sensor, offset=offset, miss_value=miss_value)
-
-  return TermSource(readings=(Reading(name=f"terrain/{sensor}", read=read, unit="m"),))
-
-
-def _camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> TermSource:
-  camera: CameraSensor = env.scene[sensor]
-  return TermSource(readings=(image_of(camera, "rgb", lambda: camera_rgb(env, sensor=sensor)),))
+def _camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> Reading:
+  return image_of(env.scene[sensor], "rgb", lambda: camera_rgb(env, sensor=sensor))
 
 
 def _camera_depth(env: "ManagerBasedRlEnv", *, sensor: str, max_depth: float, miss_value: float | None) -> TermSource:
   def compute(depth: torch.Tensor) -> torch.Tensor:
     return _without_misses(depth, max_depth, miss_value)
 
-  camera: CameraSensor = env.scene[sensor]
-  reading = image_of(camera, "depth", lambda: _drawn(env, sensor, "depth"))
+  reading = image_of(env.scene[sensor], "depth", lambda: _drawn(env, sensor, "depth"))
   return TermSource(readings=(reading,), compute=compute)
 
 
-@sourced(_root_vector("estimate/linear_velocity", "m/s", "root_link_lin_vel_b", "linear_velocity"))
+@_is(of_root("estimate/linear_velocity", "m/s", "root_link_lin_vel_b", "linear_velocity"))
 def base_lin_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the linear velocity of the root, in the root frame, (num_envs, 3) [m/s]."""
   return env.scene[asset.name].data.root_link_lin_vel_b
 
 
-@sourced(_root_vector("imu/gyro", "rad/s", "root_link_ang_vel_b", "angular_velocity"))
+@_is(of_root("imu/gyro", "rad/s", "root_link_ang_vel_b", "angular_velocity"))
 def base_ang_vel(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the angular velocity of the root, in the root frame, (num_envs, 3) [rad/s]."""
   return env.scene[asset.name].data.root_link_ang_vel_b
 
 
-@sourced(_root_vector("imu/projected_gravity", "", "projected_gravity_b", "projected_gravity"))
+@_is(of_root("imu/projected_gravity", "", "projected_gravity_b", "projected_gravity"))
 def projected_gravity(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg = _ROBOT) -> torch.Tensor:
   """Return the unit direction of gravity in the root frame, (num_envs, 3)."""
   return env.scene[asset.name].data.projected_gravity_b
@@ -175,13 +164,13 @@ def generated_commands(env: "ManagerBasedRlEnv", *, command: str) -> torch.Tenso
   return env.command_manager.get_command(command)
 
 
-@sourced(_builtin_sensor)
+@_is(sensor_reading)
 def builtin_sensor(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
   """Return the reading of a native MuJoCo sensor, (num_envs, sensor dim)."""
   return env.scene[sensor].data
 
 
-@sourced(_height_scan)
+@_is(_height_scan)
 def height_scan(
   env: "ManagerBasedRlEnv", *, sensor: str, offset: float = 0.0, miss_value: float | None = None
 ) -> torch.Tensor:
@@ -196,7 +185,7 @@ def height_scan(
   return (below.flatten(1) - offset).masked_fill_(~data.valid, miss)
 
 
-@sourced(_camera_rgb)
+@_is(_camera_rgb)
 def camera_rgb(env: "ManagerBasedRlEnv", *, sensor: str) -> torch.Tensor:
   """Return the colours of a camera image, from 0 to 1, (num_envs, 3, height, width)."""
   return _drawn(env, sensor, "rgb") / 255.0

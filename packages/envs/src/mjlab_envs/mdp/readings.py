@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import mujoco
 import torch
-from mjlab_managers import Reading
+from mjlab_managers import Reading, SceneEntityCfg
 
 if TYPE_CHECKING:
   from mjlab_sensors import CameraSensor
@@ -35,17 +35,21 @@ def joints(env: "ManagerBasedRlEnv", entity: str, quantity: Literal["position", 
   )
 
 
-def of_root(env: "ManagerBasedRlEnv", entity: str, name: str, unit: str, attribute: str, quantity: str) -> Reading:
-  """Return the reading of a vector of an entity's root in its own frame."""
-  robot = env.scene[entity]
-  return Reading(
-    name=name,
-    read=lambda: getattr(robot.data, attribute),
-    unit=unit,
-    frame=robot.root_body_name,
-    columns=("x", "y", "z"),
-    origin={"quantity": quantity, "name": robot.prefix + robot.root_body_name, "object_type": "body"},
-  )
+def of_root(name: str, unit: str, attribute: str, quantity: str) -> Callable[..., Reading]:
+  """Return a function that returns the reading of a vector of an entity's root in its own frame."""
+
+  def reading(env: "ManagerBasedRlEnv", *, asset: SceneEntityCfg) -> Reading:
+    robot = env.scene[asset.name]
+    return Reading(
+      name=name,
+      read=lambda: getattr(robot.data, attribute),
+      unit=unit,
+      frame=robot.root_body_name,
+      columns=("x", "y", "z"),
+      origin={"quantity": quantity, "name": robot.prefix + robot.root_body_name, "object_type": "body"},
+    )
+
+  return reading
 
 
 def pose_of(
