@@ -87,7 +87,7 @@ def watched(env: ManagerBasedRlEnv, marks: Marks) -> Generator[None]:
   for stage in STAGES:
     setattr(env, f"_{stage}", within(getattr(env, f"_{stage}"), stage))
   terms: Any = Term
-  call_term = terms.call
+  call_term = terms.__call__
 
   def call(term: Term, *args: Any) -> Any:
     with marks.part(f"{marks.stage.removesuffix(': terms')}: terms"):
@@ -105,11 +105,11 @@ def watched(env: ManagerBasedRlEnv, marks: Marks) -> Generator[None]:
   graph._fn = run
   env.request_recapture("profiling")
   try:
-    terms.call = call
+    terms.__call__ = call
     warp.launch, warp.launch_tiled = noted(wp.launch), noted(wp.launch_tiled)
     yield
   finally:
-    terms.call = call_term
+    terms.__call__ = call_term
     warp.launch, warp.launch_tiled = launches
 
 

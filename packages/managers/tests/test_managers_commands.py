@@ -124,17 +124,15 @@ def test_a_term_logs_further_values_and_takes_its_progress_into_another_number_o
   assert logged(managers[1])["Metrics/twist/draws"] == 3.0
 
 
-def test_a_command_without_times_is_drawn_at_resets_only(make_env):
-  env = make_env()
+def test_a_command_without_times_is_drawn_at_resets_only(env):
   env.command_manager = manager = CommandManager({"twist": GoalCfg(term=Uniform, resampling_time_range=None)}, env)
-  everybody = torch.ones(env.num_envs, dtype=torch.bool)
-  manager.reset(everybody)
+  manager.reset(~env.mask())
   first = manager.get_command("twist").clone()
   for _ in range(20):
     manager.compute(1e3)
   assert torch.equal(manager.get_command("twist"), first)
   assert manager.get_term("twist").command_counter.eq(1).all()
-  manager.reset(everybody)
+  manager.reset(~env.mask())
   assert not torch.equal(manager.get_command("twist"), first)
   assert "resampling_time_range" in manager.describe()
 

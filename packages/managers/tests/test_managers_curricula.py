@@ -44,36 +44,27 @@ def test_states_are_logged_by_key_as_last_seen(env, logged):
   def levels(env: Any, mask: torch.Tensor) -> dict[str, torch.Tensor]:
     return {"mean": env.values[:, 0].mean(), "count": mask.sum()}
 
-  terms: dict[str, CurriculumTermCfg | None] = {
-    "terrain": CurriculumTermCfg(levels),
-    "silent": CurriculumTermCfg(lambda env, mask: None),
-  }
-  manager = CurriculumManager(terms, env)
+  silent = CurriculumTermCfg(lambda env, mask: None)
+  manager = CurriculumManager({"terrain": CurriculumTermCfg(levels), "silent": silent}, env)
   assert str(logged(manager)["Curriculum/terrain/mean"]) == "nan"
   manager.compute(env.mask(1))
   manager.compute(env.mask(1, 2))
   assert logged(manager) == {"Curriculum/terrain/mean": 7.5, "Curriculum/terrain/count": 2.0}
 
 
-def test_a_term_that_asks_for_indices_runs_eagerly_and_may_return_a_number(env, logged):
+def test_a_term_that_asks_for_indices_runs_eagerly_and_may_return_numbers(env, logged):
   def progress(env: Any, env_ids: torch.Tensor) -> float:
     return float(len(env_ids))
 
-  manager = CurriculumManager({"p": CurriculumTermCfg(progress)}, env)
+  def shares(env: Any, env_ids: torch.Tensor) -> dict[str, float]:
+    return {"count": len(env_ids), "share": len(env_ids) / env.num_envs}
+
+  manager = CurriculumManager({"p": CurriculumTermCfg(progress), "s": CurriculumTermCfg(shares)}, env)
   manager.compute(env.mask())
   assert logged(manager) == {}
   manager.compute(env.mask(0, 3))
-  assert logged(manager) == {"Curriculum/p": 2.0}
-  assert env.eager == ["curriculum 'p'"] * 2
-
-
-def test_a_term_that_asks_for_indices_may_return_a_dict_of_numbers(env, logged):
-  def progress(env: Any, env_ids: torch.Tensor) -> dict[str, float]:
-    return {"count": len(env_ids), "share": len(env_ids) / env.num_envs}
-
-  manager = CurriculumManager({"p": CurriculumTermCfg(progress)}, env)
-  manager.compute(env.mask(0, 3))
-  assert logged(manager) == {"Curriculum/p/count": 2.0, "Curriculum/p/share": 0.5}
+  assert logged(manager) == {"Curriculum/p": 2.0, "Curriculum/s/count": 2.0, "Curriculum/s/share": 0.5}
+  assert env.eager == ["curriculum 'p'", "curriculum 's'"] * 2
 
 
 def test_a_number_returned_inside_the_step_is_an_error(env):

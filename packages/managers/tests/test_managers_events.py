@@ -149,8 +149,8 @@ def test_a_class_event_declares_its_fields_after_it_was_made(env):
 
     def __call__(self, mask: torch.Tensor) -> None: ...
 
-  terms: dict[str, EventTermCfg | None] = {"r": EventTermCfg(Randomize, mode="startup", params={"field": "body_ipos"})}
-  manager = EventManager(terms, env)
+  term = EventTermCfg(Randomize, mode="startup", params={"field": "body_ipos"})
+  manager = EventManager({"r": term}, env)
   assert manager.model_fields == ("body_ipos",)
   manager.apply("startup")
   assert env.recomputed == [[0, 1, 2, 3]]

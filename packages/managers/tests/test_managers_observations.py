@@ -141,7 +141,6 @@ class TestNoise:
 
 class TestTime:
   def test_history_is_oldest_to_newest_and_term_major_and_the_first_frame_fills_it(self, env):
-    # Histories of two lengths are parts of one buffer.
     negative = ObservationTermCfg(lambda env: -env.values[:, :1], history_length=2)
     manager = manager_of(env, a=term(2, history_length=3), now=term(1), b=negative)
     env.values[:] = 1.0

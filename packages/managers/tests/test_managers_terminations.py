@@ -11,10 +11,9 @@ def above(env: Any, *, limit: float, column: int = 0) -> torch.Tensor:
 
 
 def build(env: Any) -> TerminationManager:
-  terms: dict[str, TerminationTermCfg | None] = {
-    "late": TerminationTermCfg(above, params={"limit": 8.0}, time_out=True),
-    "fell": TerminationTermCfg(above, params={"limit": 12.0}),
-    "never": TerminationTermCfg(above, params={"limit": 1e9}),
+  limits = {"late": 8.0, "fell": 12.0, "never": 1e9}
+  terms = {
+    name: TerminationTermCfg(above, params={"limit": limit}, time_out=name == "late") for name, limit in limits.items()
   }
   return TerminationManager(terms, env)
 
@@ -27,7 +26,7 @@ def test_terminations_and_time_outs_are_kept_apart_and_both_reported(env):
   assert manager.get_term("fell").tolist() == [False, False, False, True]
   assert manager.terms(3) == [("late", [1.0]), ("fell", [1.0]), ("never", [0.0])]
   names, values = manager.step_terms
-  assert sorted(names) == ["fell", "late", "never"]
+  assert names == ["late", "fell", "never"]
   for column, name in enumerate(names):
     assert torch.equal(values[:, column], manager.get_term(name))
   memory = values.data_ptr()
