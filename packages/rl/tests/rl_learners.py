@@ -107,7 +107,7 @@ def exported(policy: CheckpointPolicy, cfg: Any, env: PointEnv, folder: Path) ->
 class Waits(TorchDispatchMode):
   """Operations for which a GPU would be waited for.
 
-  Drawing from a normal looks whether a deviation is negative. Writing one number where a mask is True needs no wait.
+  `torch.normal` reads back whether a deviation is negative. Writing one number where a mask is True does not wait.
   """
 
   words = ("_local_scalar_dense", "nonzero", "is_nonzero", "masked_select", "aten.normal.Tensor")

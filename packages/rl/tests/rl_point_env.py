@@ -1,4 +1,4 @@
-"""A point on a line for every world: pushed by the action, drawn anew when it leaves or its time is over."""
+"""Environment with a point on a line in each world, pushed by the action."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -40,27 +40,25 @@ class KeepingOffPolicyRunner(KeepingRunner, MjlabOffPolicyRunner):
   """The same with a replay memory."""
 
 
-def train_off_policy(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
-  """Train with FlashSAC, which has the most state for each world; return the last checkpoint."""
-  agent = mjlab_rl.offpolicy.flashsac(mjlab_rl.RslRlOnPolicyRunnerCfg(experiment_name=name, logger="none"))
-  agent.run_name, agent.num_steps_per_env, agent.max_iterations, agent.save_interval = name, 12, iterations, 100
-  agent.actor.hidden_dims, agent.critic.hidden_dims, agent.save_replay = (8,), (8,), True
-  algorithm = agent.algorithm
-  algorithm.batch_size, algorithm.learning_starts, algorithm.replay_steps = 16, 5, 40
-  algorithm.final_learning_rate = None
-  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingOffPolicyRunner)
-  mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)
-  (run,) = (folder / "logs" / name).iterdir()
-  return run / f"model_{iterations}.pt"
-
-
 def train(folder: Path, name: str, iterations: int, resume: Path | None = None) -> Path:
-  """Train; return the last checkpoint."""
-  agent = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name=name, run_name=name)
-  agent.max_iterations, agent.save_interval = iterations, 100
+  """Train with PPO, or with FlashSAC for names with "replay", which has the most state for each world.
+
+  Returns:
+    The last checkpoint.
+  """
+  agent: Any = mjlab_rl.RslRlOnPolicyRunnerCfg(num_steps_per_env=6, logger="none", experiment_name=name)
+  kind: type[KeepingRunner] = KeepingRunner
+  if "replay" in name:
+    kind, agent = KeepingOffPolicyRunner, mjlab_rl.offpolicy.flashsac(agent)
+    agent.num_steps_per_env, agent.save_replay = 12, True
+    algorithm = agent.algorithm
+    algorithm.batch_size, algorithm.learning_starts, algorithm.replay_steps = 16, 5, 40
+    algorithm.final_learning_rate = None
+  else:
+    agent.actor.obs_normalization = agent.critic.obs_normalization = True
+  agent.run_name, agent.max_iterations, agent.save_interval = name, iterations, 100
   agent.actor.hidden_dims = agent.critic.hidden_dims = (8,)
-  agent.actor.obs_normalization = agent.critic.obs_normalization = True
-  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=KeepingRunner)
+  task = mjlab_rl.TaskCfg(env=PointEnvCfg(), agent=agent, runner=kind)
   mjlab_rl.train(task, name="Point", make_env=PointEnv, log_root=folder / "logs", resume=resume)
   (run,) = (folder / "logs" / name).iterdir()
   return run / f"model_{iterations}.pt"
@@ -88,9 +86,9 @@ def main(folder: Path) -> None:
     train(folder, "whole", 5)
     if (alone := folder / "alone.pt").exists():
       train(folder, "alone", 5, resume=alone)
-    first = train_off_policy(folder, "replay-half", 2)
-    train_off_policy(folder, "replay-resumed", 4, resume=first)
-    train_off_policy(folder, "replay-whole", 4)
+    first = train(folder, "replay-half", 2)
+    train(folder, "replay-resumed", 4, resume=first)
+    train(folder, "replay-whole", 4)
     counts: Counter[str] = Counter()
     for name in COLLECTIVES:
       setattr(distributed, name, counted(name, getattr(distributed, name), counts))

@@ -103,7 +103,7 @@ def tensors(learner: PPO) -> Iterator[torch.Tensor]:
 
 
 @DEVICES
-def test_memory_stays_so_that_a_step_is_recorded_once(device: str) -> None:
+def test_tensors_keep_their_memory_so_that_a_step_is_recorded_once(device: str) -> None:
   learner = construct(CapturedPPO, device)
   assert isinstance(learner, CapturedPPO)
   found = []
@@ -131,7 +131,7 @@ def test_a_restored_learner_records_again() -> None:
 
 
 @DEVICES
-def test_a_restored_learner_goes_on_as_the_saved_one_with_and_without_a_gpu(device: str) -> None:
+def test_a_restored_learner_continues_as_the_saved_one_with_and_without_a_gpu(device: str) -> None:
   first = construct(CapturedPPO, device)
   for update in range(4):
     roll_out(first, update, device)

@@ -88,7 +88,7 @@ def test_a_terminal_that_cannot_move_its_cursor_gets_plain_lines(monkeypatch: py
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.EPIPE])
-def test_a_terminal_or_a_reader_that_is_gone_stops_nothing(number: int) -> None:
+def test_a_closed_terminal_or_pipe_does_not_end_the_training(number: int) -> None:
   class Gone(Terminal):
     def write(self, text: str) -> int:
       raise OSError(number, os.strerror(number))
@@ -114,7 +114,7 @@ def test_all_values_are_shown_only_where_asked_for(verbosity: str, shown: bool) 
   assert (re.search(r"Loss/value +0\.12346\n", stream.getvalue()) is not None) == shown
 
 
-def test_quiet_says_nothing() -> None:
+def test_a_quiet_console_writes_nothing() -> None:
   stream = io.StringIO()
   console = Console("quiet", stream)
   console.say("hello")

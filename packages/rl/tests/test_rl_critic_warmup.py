@@ -25,7 +25,7 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> bool:
 
 
 @pytest.mark.parametrize("class_name", ["PPO", "rsl_rl.algorithms:PPO"])
-def test_the_actor_is_held_while_the_critic_learns_as_ever(class_name: str) -> None:
+def test_the_actor_is_held_while_the_critic_learns_as_usual(class_name: str) -> None:
   usual = runner(None, warming(0, class_name))
   usual.learn(1)
   run = runner(None, warming(2, class_name))

@@ -507,7 +507,7 @@ def test_a_runner_of_another_learner_is_refused(teacher: Path) -> None:
     train(task, name="Point", make_env=DescribedEnv, log_root=None, console=QUIET, teacher=teacher)
 
 
-def test_a_step_size_that_is_changed_on_resuming_counts(tmp_path: Path, teacher: Path) -> None:
+def test_a_new_step_size_on_resuming_applies(tmp_path: Path, teacher: Path) -> None:
   checkpoint = run(student_agent(), tmp_path, teacher=teacher).checkpoint
   agent = student_agent()
   agent.algorithm.learning_rate = 0.5

@@ -12,7 +12,7 @@ import torch
 from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import CheckpointPolicy, OffPolicyRunnerCfg, RslRlOnPolicyRunnerCfg, TaskCfg, train, with_agent
 from mjlab_rl.offpolicy import PRESETS
-from mjlab_rl.offpolicy.networks import Normalizer, TanhGaussian, renormalize, stack
+from mjlab_rl.offpolicy.networks import Normalizer, TanhGaussian
 from mjlab_rl.offpolicy.replay import Reflection, Transitions
 from mjlab_rl.offpolicy.returns import RepeatedNoise, ReturnScale, project
 from mjlab_rl.offpolicy.runner import REPLAY_NAME, MjlabOffPolicyRunner
@@ -109,20 +109,6 @@ def test_scaled_returns_fill_the_values_of_the_critic() -> None:
   assert not scale.running.any()
 
 
-def test_unit_layers_keep_the_norm_of_their_weights() -> None:
-  net = stack("unit", 5, (8, 8), 3, "relu", zero_output=False)
-  with torch.no_grad():
-    for parameter in net.parameters():
-      parameter.add_(torch.randn_like(parameter))
-  renormalize(net)
-  for module in net.modules():
-    if isinstance(module, torch.nn.Linear):
-      torch.testing.assert_close(module.weight.norm(dim=-1), torch.ones(module.out_features))
-    elif isinstance(module, torch.nn.BatchNorm1d):
-      norm = (module.weight.square() + module.bias.square()).sum()
-      torch.testing.assert_close(norm, torch.tensor(float(module.num_features)))
-
-
 def test_a_reflection_appends_mirror_images() -> None:
   mirrors = {"a": ((1, 0), (1.0, -1.0)), "b": ((0,), (-1.0,)), "action": ((1, 0), (-1.0, -1.0))}
   seen = torch.tensor([[1.0, 2.0, 3.0]])
@@ -212,7 +198,7 @@ def test_two_iterations_and_two_more_equal_four(tmp_path: Path, preset: str) -> 
   resumed = run(4, "resumed", half.checkpoint)
   for name in (whole.checkpoint.name, REPLAY_NAME):
     assert_same_checkpoints(whole.directory / name, resumed.directory / name)
-  # Without its memory the run goes on, and learns again once a new one has enough.
+  # Without its memory the run continues, and updates begin again when a new one is ready.
   (half.directory / REPLAY_NAME).unlink()
   assert run(4, "without", half.checkpoint).iterations == 4
   policy = CheckpointPolicy(PointEnv(PointEnvCfg()), agent_of(preset))

@@ -20,7 +20,7 @@ from torch import distributed
 
 
 def filled(steps: int = 30, preset: str = "fastsac", **algorithm: Any) -> Any:
-  """Return an algorithm whose memory has some steps, with ends of both kinds."""
+  """Return an algorithm with some steps in its memory, terminations and time-outs among them."""
   torch.manual_seed(0)
   runner = runner_of(agent_of(preset, **algorithm), noise=0.4)
   obs = runner.env.get_observations()
@@ -122,8 +122,11 @@ def test_weights_of_unit_layers_keep_their_norm_in_training(preset: str) -> None
     algorithm.update()
   assert algorithm.rounds_done
   for network in (algorithm.actor, algorithm.critic):
-    norms = torch.cat([m.weight.norm(dim=-1) for m in network.modules() if isinstance(m, torch.nn.Linear)])
-    assert torch.allclose(norms, torch.ones(len(norms)), atol=1e-4) == (preset == "flashsac")
+    norms = [m.weight.norm(dim=-1) for m in network.modules() if isinstance(m, torch.nn.Linear)]
+    for m in network.modules():
+      if isinstance(m, torch.nn.BatchNorm1d):
+        norms.append(torch.cat((m.weight, m.bias)).norm()[None] / m.num_features**0.5)
+    assert torch.allclose(torch.cat(norms), torch.tensor(1.0), atol=1e-4) == (preset == "flashsac")
 
 
 @pytest.mark.parametrize("preset", ["fastsac", "flashsac"])

@@ -153,7 +153,7 @@ def test_a_process_has_the_gpu_of_its_number() -> None:
   ("rank", "world_size", "message"),
   [("two", "2", "^RANK=two, .*: the launcher"), ("2", "2", "^RANK=2, .*, WORLD_SIZE=2: ")],
 )
-def test_a_launcher_that_numbers_wrongly_is_named(
+def test_wrong_numbers_of_a_launcher_are_refused(
   monkeypatch: pytest.MonkeyPatch, rank: str, world_size: str, message: str
 ) -> None:
   monkeypatch.setenv("RANK", rank)

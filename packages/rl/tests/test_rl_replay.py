@@ -43,7 +43,7 @@ class Episodes:
     for world, steps in enumerate(self.steps):
       is_over, is_cut = bool(terminated[world]), bool(timed_out[world])
       steps.append(Step(self.now[world], action[world], float(reward[world]), after[world], is_over, is_cut))
-    # What the environment gives: the first of the next episode, and the last one where time was over.
+    # The environment returns the first observation of the next episode, and after a time-out the last one.
     given = np.where(timed_out[:, None], after, following)
     values: list[Any] = [self.now, action, reward, given, terminated, timed_out]
     replay.add(*map(torch.from_numpy, values))

@@ -183,7 +183,7 @@ def test_a_damaged_checkpoint_is_a_clear_error_wherever_it_was_cut(tmp_path: Pat
 
 
 @pytest.mark.parametrize("optimizer", ["adamw", "sgd", "rmsprop"])
-def test_a_training_goes_on_with_the_optimizer_that_it_had(tmp_path: Path, optimizer: Any) -> None:
+def test_a_resumed_training_must_keep_its_optimizer(tmp_path: Path, optimizer: Any) -> None:
   runner(tmp_path, agent()).learn(1)
   cfg = agent()
   cfg.algorithm.optimizer = optimizer
@@ -192,9 +192,7 @@ def test_a_training_goes_on_with_the_optimizer_that_it_had(tmp_path: Path, optim
 
 
 @pytest.mark.parametrize(("schedule", "rate"), [("fixed", 0.5), ("adaptive", 0.25)])
-def test_a_step_size_that_is_changed_on_resuming_counts_where_nothing_else_changes_it(
-  tmp_path: Path, schedule: Any, rate: float
-) -> None:
+def test_a_new_step_size_on_resuming_applies_to_a_fixed_schedule(tmp_path: Path, schedule: Any, rate: float) -> None:
   trained = runner(tmp_path, agent())
   trained.alg.optimizer.param_groups[0]["lr"] = 0.25
   trained.save(str(tmp_path / "model_1.pt"))
@@ -260,7 +258,7 @@ def test_a_divergence_names_its_cause(scalars: dict[str, float], cause: str) -> 
 
 
 @pytest.mark.parametrize("name", ["actor", "critic"])
-def test_what_only_the_last_step_of_an_update_breaks_is_not_saved_either(tmp_path: Path, name: str) -> None:
+def test_weights_broken_by_the_last_step_of_an_update_are_not_saved(tmp_path: Path, name: str) -> None:
   broken = runner(tmp_path, agent(save_interval=1))
   *_, bias = broken.networks[name].parameters()
 
@@ -362,7 +360,7 @@ with stop_signals.StopSignals():
   os.kill(os.getpid(), signal.SIGINT)
   now[0] += 0.6
   os.kill(os.getpid(), signal.SIGINT)
-print("goes on")
+print("continues")
 """
   done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
   assert done.returncode == -signal.SIGINT
@@ -463,7 +461,7 @@ def test_a_training_that_breaks_leaves_the_progress_line_whole(tmp_path: Path, m
   assert stream.getvalue().endswith("\n\x1b[?25h")
 
 
-def test_all_impossible_settings_are_named_at_once() -> None:
+def test_all_impossible_settings_are_in_one_message() -> None:
   cfg = agent(clip_actions=-1.0, logger="none")
   cfg.algorithm.gamma, cfg.critic.rnn_num_layers = 2.0, 0
   with pytest.raises(ConfigError) as caught:

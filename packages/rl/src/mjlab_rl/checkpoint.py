@@ -163,7 +163,7 @@ def check_finite(path: Path, part: str, saved: Mapping[str, Any]) -> None:
 
 
 def shape_problems(groups: Sequence[str], trained: Shapes | None, present: Shapes) -> Iterator[str]:
-  """Yield a line for each observation group whose shape was another in training; other image sizes may fit all weights.
+  """Yield a line for each observation group that had another shape in training; weights may fit images of any size.
 
   Args:
     groups: Names of the groups.
@@ -177,7 +177,7 @@ def shape_problems(groups: Sequence[str], trained: Shapes | None, present: Shape
 
 
 def network_problems(part: str, saved: Mapping[str, Any], present: Mapping[str, Any]) -> Iterator[str]:
-  """Yield a line for each weight whose name, shape or kind of number differs from the network that it is for."""
+  """Yield a line for each weight with another name, shape or kind of number than in the network."""
   for name in dict.fromkeys((*present, *saved)):
     theirs, ours = saved.get(name), present.get(name)
     if theirs is None or ours is None:

@@ -47,7 +47,7 @@ class RslRlModelCfg(LearnerPart):
   activation: Activation = "elu"
   """Activation function by rsl-rl's name."""
   obs_normalization: bool = False
-  """Normalise observations by their running mean and deviation, shared by all worlds."""
+  """Normalise observations by their running mean and deviation over all worlds."""
   distribution_cfg: dict[str, Any] | None = None
   """Action distribution, e.g. {"class_name": "GaussianDistribution", "init_std": 1.0}; None: deterministic output."""
   cnn_cfg: dict[str, Any] | None = None
@@ -136,7 +136,7 @@ class RslRlDistillationAlgorithmCfg(LearnerPart):
   num_learning_epochs: PositiveCount = 1
   """Passes over the data of one iteration."""
   gradient_length: PositiveCount = 8
-  """Steps whose errors add up to one gradient, through which a recurrent student learns.
+  """Steps that contribute to one gradient; a recurrent student is trained through all of them.
 
   It divides num_learning_epochs x num_steps_per_env."""
   learning_rate: Positive = 1e-3
@@ -337,7 +337,7 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
   num_teachers: PositiveCount = 1
   """Number of teachers, all with one kind of network; set to the number of checkpoints given to `train`."""
   teacher_task: str | None = None
-  """Task whose newest run is the teacher if none is given."""
+  """Task of the default teacher, which is the newest run of that task; None: a teacher must be given."""
   algorithm: RslRlDistillationAlgorithmCfg = field(default_factory=RslRlDistillationAlgorithmCfg)
   """The update rule."""
 

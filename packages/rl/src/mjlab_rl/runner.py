@@ -37,7 +37,7 @@ _WEIGHTS = "Weights/"
 
 
 class MjlabOnPolicyRunner(OnPolicyRunner):
-  """rsl-rl's runner with its own training loop.
+  """rsl-rl's runner with another training loop.
 
   - A rollout waits for the device once, at its end. Statistics accumulate on the device and are read once per
     iteration.

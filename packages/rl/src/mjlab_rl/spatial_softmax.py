@@ -32,7 +32,7 @@ class SpatialSoftmax(nn.Module):
 class SpatialSoftmaxCNNModel(ImageModel):
   """An `ImageModel` whose encoders end in a spatial softmax instead of all their features.
 
-  `cnn_cfg` may have a `temperature`; flattening and global pooling are its own. Choose it by
+  `cnn_cfg` may have a `temperature`, and no flattening or global pooling. Select this model with
   `class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"`.
   """
 

@@ -66,8 +66,8 @@ def train(
     device: Device of environment and learner, such as "cuda:0".
     log_root: Folder of all experiments; None: write nothing.
     resume: Checkpoint to continue from, up to `task.agent.max_iterations` in all.
-    teacher: Checkpoint of the policy to imitate in a distillation, or of several that share the worlds; a resumed run
-      has its own.
+    teacher: Checkpoint of the policy to imitate in a distillation, or of several that share the worlds. A resumed run
+      keeps its teachers.
     init_from: Checkpoint of the policy to start from, with its normaliser and standard deviation of actions. The
       optimiser, the critic and the counters start from the beginning.
     console: Output of progress; None: standard output.
