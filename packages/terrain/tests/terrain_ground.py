@@ -29,3 +29,12 @@ class Ground:
   def at(self, x: float, y: float) -> float:
     """Height of one point [m]."""
     return float(self.surface(np.array([[x, y]]))[0])
+
+
+class Added(Ground):
+  """A terrain in a separate model."""
+
+  def __init__(self, cfg: Any, **options: Any) -> None:
+    spec = mujoco.MjSpec()
+    self.terrain = cfg.add_to(spec, **options)
+    super().__init__(spec)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import io
 import runpy
 import socket
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,18 @@ from mjlab_terrain.colors import as_pixels, color_of, picture_of
 from mjlab_terrain.presets import apply_settings
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.view.picture import plot
+
+
+@pytest.fixture
+def open_page() -> Iterator[Callable[[TerrainGridCfg], Any]]:
+  """Function that opens a page of a terrain without a browser."""
+  pytest.importorskip("trimesh")
+  viser = pytest.importorskip("viser")
+  from mjlab_terrain.view.page import Page
+
+  server = viser.ViserServer(port=0, verbose=False)
+  yield lambda cfg: Page(cfg, server)
+  server.stop()
 
 
 def test_the_example_drops_its_spheres(capsys: pytest.CaptureFixture[str]) -> None:
@@ -33,40 +47,40 @@ def test_a_plot_shows_x_up_and_y_to_the_left() -> None:
   assert max(redness[5, 95], redness[95, 5], redness[95, 95]) < 20
 
 
-def test_settings_are_read_as_what_they_are() -> None:
+def test_settings_are_read_by_their_kind() -> None:
   types = all_types()
   apply_settings(types, ["stairs_up.step_height=0.1,0.3", "holes=yes", "num_beams=5", "mode=fixed"])
-  stairs, grid, beams = types["stairs_up"], types["random_grid"], types["narrow_beams"]
-  assert (vars(stairs)["step_height"], vars(stairs)["holes"]) == ((0.1, 0.3), True)
-  assert vars(grid)["holes"] is True
-  assert vars(beams)["num_beams"] == 5
-  assert vars(types["discrete_obstacles"])["mode"] == "fixed"
+  stairs, grid, beams, obstacles = (
+    vars(types[name]) for name in ("stairs_up", "random_grid", "narrow_beams", "discrete_obstacles")
+  )
+  assert (stairs["step_height"], stairs["holes"], grid["holes"]) == ((0.1, 0.3), True, True)
+  assert (beams["num_beams"], obstacles["mode"]) == (5, "fixed")
 
 
-def test_every_setting_of_a_type_has_a_control_of_its_kind() -> None:
-  pytest.importorskip("trimesh")
-  viser = pytest.importorskip("viser")
-  from mjlab_terrain.view.page import Page
+@pytest.mark.parametrize(
+  ("assignment", "message"),
+  [
+    ("stairs_up.step_height=0.3", r"the value must be like \(0.0, 0.2\), without brackets"),
+    ("holes=maybe", "the value must be like False"),
+    ("levels=many", "the value must be like None"),
+    ("mode=5", "the value must be like 'choice'"),
+    ("stairs.holes=yes", "there is no type 'stairs' here"),
+    ("flat.holes=yes", "there is no setting 'holes'. There are share"),
+  ],
+)
+def test_an_impossible_setting_is_refused(assignment: str, message: str) -> None:
+  with pytest.raises(ValueError, match=message):
+    apply_settings(all_types(), [assignment])
 
-  server = viser.ViserServer(port=0, verbose=False)
-  try:
-    page = Page(TerrainGridCfg(rows=1, border_width=0.0), server)
-    kinds = {}
-    for name in all_types():
-      page._choice.value = name
-      kinds[name] = {setting: type(control.value) for setting, control in page._settings.items()}
-  finally:
-    server.stop()
+
+def test_every_setting_of_a_type_has_a_control_of_its_kind(open_page: Callable[[TerrainGridCfg], Any]) -> None:
+  page, kinds = open_page(TerrainGridCfg(rows=1, border_width=0.0)), {}
+  for name in all_types():
+    page._choice.value = name
+    kinds[name] = {setting: type(control.value) for setting, control in page._settings.items()}
   assert kinds["flat"] == {}
-  assert kinds["stairs_up"] == {
-    "step_height": tuple,
-    "step_width": float,
-    "platform": float,
-    "border": float,
-    "inverted": bool,
-    "holes": bool,
-    "pit_depth": float,
-  }
+  stairs = {"step_height": tuple, **dict.fromkeys(("step_width", "platform", "border", "pit_depth"), float)}
+  assert kinds["stairs_up"] == stairs | {"inverted": bool, "holes": bool}
   assert kinds["discrete_obstacles"]["mode"] is str
   assert kinds["narrow_beams"]["num_beams"] is int
   assert "levels" not in kinds["random_grid"]
@@ -98,51 +112,37 @@ def test_the_picture_of_a_height_field_is_a_png_with_its_colors() -> None:
   np.testing.assert_array_equal(read, pixels.transpose(1, 0, 2)[::-1])
 
 
-def test_the_page_builds_what_its_controls_say() -> None:
-  pytest.importorskip("trimesh")
-  viser = pytest.importorskip("viser")
-  from mjlab_terrain.view.page import Page
-
-  server = viser.ViserServer(port=0, verbose=False)
-  try:
-    page = Page(TerrainGridCfg(rows=2), server)
-    assert "14 tiles" in page._status.content
-    page._choice.value = "stepping_stones"
-    assert "2 tiles" in page._status.content
-    page._controls["tile_size"].value = (1.0, 1.0)
-    assert "Cannot be built" in page._status.content
-    page._choice.value = "flat"
-    assert "2 tiles of 2 solids, 12 triangles" in page._status.content
-  finally:
-    server.stop()
+def test_the_page_builds_what_its_controls_say(open_page: Callable[[TerrainGridCfg], Any]) -> None:
+  page = open_page(TerrainGridCfg(rows=2))
+  assert "14 tiles" in page._status.content
+  page._choice.value = "stepping_stones"
+  assert "2 tiles" in page._status.content
+  page._controls["tile_size"].value = (1.0, 1.0)
+  assert "Cannot be built" in page._status.content
+  page._choice.value = "flat"
+  assert "2 tiles of 2 solids, 12 triangles" in page._status.content
 
 
-def test_difficulty_seed_and_settings_change_the_ground_that_the_page_shows() -> None:
-  pytest.importorskip("trimesh")
-  viser = pytest.importorskip("viser")
-  from mjlab_terrain.view.page import Page
-
-  server = viser.ViserServer(port=0, verbose=False)
+def test_difficulty_seed_and_settings_change_the_ground_that_the_page_shows(
+  open_page: Callable[[TerrainGridCfg], Any],
+) -> None:
+  page = open_page(TerrainGridCfg(types={"rough": all_types()["random_rough"]}, rows=1, border_width=0.0))
   shown: list[np.ndarray] = []
-  server.scene.add_mesh_trimesh = lambda name, mesh: shown.append(np.array(mesh.vertices))
-  try:
-    page = Page(TerrainGridCfg(types={"rough": all_types()["random_rough"]}, rows=1, border_width=0.0), server)
-    page._controls["difficulty"].value = (0.5, 0.5)
-    easy = shown[-1]
-    page._controls["difficulty"].value = (1.0, 1.0)
-    hard = shown[-1]
-    assert np.ptp(hard[:, 2]) > 1.5 * np.ptp(easy[:, 2])
-    page._controls["seed"].value += 1
-    assert not np.array_equal(shown[-1], hard)
-    page._choice.value = "stairs_up"
-    steps = shown[-1]
-    page._settings["step_height"].value = (0.05, 0.1)
-    assert shown[-1][:, 2].max() == pytest.approx(0.5 * steps[:, 2].max())
-  finally:
-    server.stop()
+  page._server.scene.add_mesh_trimesh = lambda name, mesh: shown.append(np.array(mesh.vertices))
+  page._controls["difficulty"].value = (0.5, 0.5)
+  easy = shown[-1]
+  page._controls["difficulty"].value = (1.0, 1.0)
+  hard = shown[-1]
+  assert np.ptp(hard[:, 2]) > 1.5 * np.ptp(easy[:, 2])
+  page._controls["seed"].value += 1
+  assert not np.array_equal(shown[-1], hard)
+  page._choice.value = "stairs_up"
+  steps = shown[-1]
+  page._settings["step_height"].value = (0.05, 0.1)
+  assert shown[-1][:, 2].max() == pytest.approx(0.5 * steps[:, 2].max())
 
 
-def test_the_page_listens_on_loopback_names_every_tile_and_survives_a_stranger(
+def test_the_page_listens_on_loopback_names_every_tile_and_ignores_other_connections(
   caplog: pytest.LogCaptureFixture,
 ) -> None:
   from mjlab_terrain.view.page import open_page
@@ -157,9 +157,9 @@ def test_the_page_listens_on_loopback_names_every_tile_and_survives_a_stranger(
       if type(message).__name__ == "LabelMessage"
     ]
     assert sorted(labels) == ["flat", "flat", "stairs up", "stairs up"]
-    with socket.create_connection(("127.0.0.1", server.get_port())) as stranger:
-      stranger.shutdown(socket.SHUT_WR)
-      while stranger.recv(4096):
+    with socket.create_connection(("127.0.0.1", server.get_port())) as connection:
+      connection.shutdown(socket.SHUT_WR)
+      while connection.recv(4096):
         pass
   finally:
     server.stop()

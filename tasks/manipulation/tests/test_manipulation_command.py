@@ -35,7 +35,7 @@ def test_starts_and_goals_fill_their_regions() -> None:
   assert np.abs(quat[:, 1:3]).max() == 0.0
   assert abs(np.exp(1j * yaw).mean()) < 0.15
   assert not env.scene["cube"].data.root_link_lin_vel_w.any()
-  # Nothing that is drawn tells anything of the rest.
+  # All draws are independent.
   drawn = np.column_stack([start, goal, np.cos(yaw), term.goal_time.numpy()])
   assert np.abs(np.corrcoef(drawn.T) - np.eye(8)).max() < 0.2
 
@@ -77,7 +77,7 @@ def test_cubes_that_are_larger_in_some_worlds_stand_further_apart_there() -> Non
   radius = np.sqrt(2) * env.sim.model.geom_size[:, geoms, 0].numpy()
   for a, b in itertools.combinations(range(3), 2):
     assert (np.abs(where[:, a] - where[:, b]) > radius[:, a] + radius[:, b] - 1e-9).all()
-  # Where there is room, all stand in their region; where there is none, about its middle.
+  # Where there is room, all stand in their region; elsewhere they stand about its middle.
   needed = 2.0 * np.sort(radius)[:, 1:].sum(1)
   large = needed > 0.206
   assert np.abs(where[~large]).max() <= 0.103 + 1e-9
@@ -111,7 +111,7 @@ def test_a_new_goal_is_the_end_of_an_episode_and_no_failure() -> None:
   assert set(lengths) == {6, 7, 8, 9, 10}
 
 
-def test_what_a_world_draws_does_not_depend_on_which_others_reset() -> None:
+def test_draws_of_a_world_do_not_depend_on_resets_of_others() -> None:
   (one, first), (other, second) = lift(4), lift(4)
   one.reset(env_ids=[1])
   other.reset(env_ids=[0, 1, 3])
@@ -120,7 +120,7 @@ def test_what_a_world_draws_does_not_depend_on_which_others_reset() -> None:
   assert not torch.equal(first.command[0], second.command[0])
 
 
-def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
+def test_a_goal_can_be_steered_until_steering_ends() -> None:
   env, term = lift(3)
   before = term.command.clone()
   term.steer(1, (0.4, 0.1, 0.3))
@@ -146,6 +146,6 @@ def test_a_goal_can_be_given_by_hand_and_taken_back() -> None:
   ],
   ids=lambda value: "" if isinstance(value, str) else next(iter(value)),
 )
-def test_what_is_wrong_with_a_command_is_said_at_build(options: dict[str, Any], message: str) -> None:
+def test_a_bad_command_is_refused_at_build(options: dict[str, Any], message: str) -> None:
   with pytest.raises(ConfigError, match=message):
     lift(2, **options)

@@ -1,4 +1,4 @@
-"""Students of the lift tasks: whom they learn from, and what they see."""
+"""Students of the lift tasks: their teachers and their observations."""
 
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -27,7 +27,7 @@ from mjlab_rl import (
   TrainedPolicy,
 )
 
-# Student, who sees the same and learns by itself, teacher.
+# Student, task with the same images without a teacher, teacher.
 TASKS: dict[str, tuple[Any, Any, Any]] = {
   "Mjlab-Lift-Cube-Yam-Depth-Distill": (lift_cube_depth_distill, lift_cube_depth, lift_cube),
   "Mjlab-Lift-Cube-Yam-Rgb-Distill": (lift_cube_rgb_distill, lift_cube_rgb, lift_cube),

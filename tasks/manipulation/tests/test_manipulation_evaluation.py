@@ -20,7 +20,7 @@ def evaluator() -> LiftEvaluation:
   return LiftEvaluation(episodes=8, seconds=2.0)
 
 
-def test_a_hand_of_providence_succeeds_as_often_and_as_fast_as_it_did() -> None:
+def test_success_lifts_and_drops_are_those_of_cubes_that_are_placed() -> None:
   with ManagerBasedRlEnv(evaluator().configure(lift_cube_env()), device="cpu") as env:
     term, steps = lift_command(env, "lift_height"), 0
 
@@ -37,24 +37,24 @@ def test_a_hand_of_providence_succeeds_as_often_and_as_fast_as_it_did() -> None:
 
     result = evaluator().run(env, policy)
     assert term.goal_time.tolist() == [2.0] * 8
-  everybody = result.groups["all"]
-  assert everybody["success_rate"].mean == pytest.approx(5 / 8)
+  overall = result.groups["all"]
+  assert overall["success_rate"].mean == pytest.approx(5 / 8)
   # A second on end, from then on.
-  assert everybody["time_to_success"].mean == pytest.approx(20 * 0.02 + 1.0)
-  assert everybody["time_to_success"].count == 5
-  assert everybody["lift_rate"].mean == pytest.approx(6 / 8)
-  assert everybody["drop_rate"].mean == pytest.approx(1 / 6)
-  assert everybody["failure_rate"].mean == 0.0
-  # One cube of one width: nothing to tell apart but where it began.
+  assert overall["time_to_success"].mean == pytest.approx(20 * 0.02 + 1.0)
+  assert overall["time_to_success"].count == 5
+  assert overall["lift_rate"].mean == pytest.approx(6 / 8)
+  assert overall["drop_rate"].mean == pytest.approx(1 / 6)
+  assert overall["failure_rate"].mean == 0.0
+  # One cube of one width: no groups but those of its start.
   assert set(result.groups) == {"all", "near", "far", "left", "right"}
   assert sum(result.groups[name]["success_rate"].count for name in ("near", "far")) == 8
   assert "success_rate" in result.table()
 
 
-def test_forces_errors_and_failures_are_those_of_the_same_episodes_worked_out_by_hand() -> None:
+def test_forces_errors_and_failures_are_those_of_the_same_episodes_computed_step_by_step() -> None:
   def configured() -> ManagerBasedRlEnvCfg:
     cfg = evaluator().configure(lift_cube_env())
-    cfg.terminations["pressed"] = TerminationTermCfg(fails_when_told)
+    cfg.terminations["pressed"] = TerminationTermCfg(fails_on_schedule)
     return cfg
 
   def act(env: ManagerBasedRlEnv, step: int) -> torch.Tensor:
@@ -92,10 +92,10 @@ def test_forces_errors_and_failures_are_those_of_the_same_episodes_worked_out_by
   with ManagerBasedRlEnv(configured(), device="cpu") as env:
     steps = itertools.count(1)
     result = evaluator().run(env, lambda _: act(env, next(steps)))
-  everybody = result.groups["all"]
-  assert everybody["failure_rate"].mean == pytest.approx(2 / 8)
-  assert everybody["peak_force"].mean == pytest.approx(float(peak.mean()), rel=1e-5)
-  assert everybody["final_error"].mean == pytest.approx(float(final.mean()), rel=1e-5)
+  overall = result.groups["all"]
+  assert overall["failure_rate"].mean == pytest.approx(2 / 8)
+  assert overall["peak_force"].mean == pytest.approx(float(peak.mean()), rel=1e-5)
+  assert overall["final_error"].mean == pytest.approx(float(final.mean()), rel=1e-5)
   assert failed.tolist() == [False, True, True, *[False] * 5]
   # Sides tell worlds apart by where their cubes were at first.
   left, right = result.groups["left"], result.groups["right"]
@@ -104,23 +104,23 @@ def test_forces_errors_and_failures_are_those_of_the_same_episodes_worked_out_by
   assert left["peak_force"].count + right["peak_force"].count == 8
 
 
-def fails_when_told(env: ManagerBasedRlEnv) -> torch.Tensor:
+def fails_on_schedule(env: ManagerBasedRlEnv) -> torch.Tensor:
   """World 1 on its first step, world 2 on its 33rd, when its cube has just been put between the fingers."""
-  told = torch.zeros(env.num_envs, dtype=torch.int64)
-  told[1], told[2] = 1, 33
-  return env.episode_length_buf == told
+  step = torch.zeros(env.num_envs, dtype=torch.int64)
+  step[1], step[2] = 1, 33
+  return env.episode_length_buf == step
 
 
 def test_a_policy_that_does_nothing_never_succeeds() -> None:
   with ManagerBasedRlEnv(evaluator().configure(lift_cube_env()), device="cpu") as env:
     result = evaluator().run(env, lambda _: torch.zeros(8, 7))
-  everybody = result.groups["all"]
-  assert (everybody["success_rate"].mean, everybody["peak_force"].mean) == (0.0, 0.0)
-  assert everybody["time_to_success"].count == everybody["drop_rate"].count == 0
-  assert 0.15 < everybody["final_error"].mean < 0.6
+  overall = result.groups["all"]
+  assert (overall["success_rate"].mean, overall["peak_force"].mean) == (0.0, 0.0)
+  assert overall["time_to_success"].count == overall["drop_rate"].count == 0
+  assert 0.15 < overall["final_error"].mean < 0.6
 
 
-def test_results_are_told_apart_by_object_by_width_and_by_where_it_began() -> None:
+def test_results_are_grouped_by_object_by_width_and_by_start() -> None:
   def environment() -> ManagerBasedRlEnvCfg:
     cfg = evaluator().configure(lift_objects_env())
     entity: Any = cfg.scene.entities["object"]
@@ -172,7 +172,7 @@ def test_results_are_told_apart_by_object_by_width_and_by_where_it_began() -> No
   assert result.groups["brick"]["time_to_success"].mean == pytest.approx(1.0, abs=0.03)
 
 
-def test_of_several_objects_the_one_that_is_meant_counts() -> None:
+def test_only_the_target_of_several_objects_counts() -> None:
   with ManagerBasedRlEnv(evaluator().configure(three_cubes()), device="cpu") as env:
     result = evaluator().run(env, lambda _: torch.zeros(8, 7))
   counts = {name: metrics["success_rate"].count for name, metrics in result.groups.items()}

@@ -1,4 +1,4 @@
-"""Images of many worlds, each with a camera, a light and a table of its own."""
+"""Images of many worlds, each with a separate camera, light and table."""
 
 from collections.abc import Callable
 from typing import Any
@@ -60,7 +60,7 @@ def test_all_that_differs_is_drawn_as_asked_and_for_each_world_alone() -> None:
     alone = list(values)[:1] if term.field.cfg.isotropic else list(values)
     drawn |= {f"{name} {axis}": values[axis][:, 0].numpy() for axis in alone}
   assert len(drawn) >= 20
-  # None tells anything of another: 0.25 is three and a half standard deviations.
+  # They are independent: 0.25 is three and a half standard deviations.
   correlation = np.corrcoef(np.array(list(drawn.values())))
   assert np.abs(correlation - np.eye(len(drawn))).max() < 0.3
   # Neighbouring worlds have nothing in common either.
@@ -100,7 +100,7 @@ def test_each_of_them_alone_changes_what_is_seen() -> None:
   terms = {name: env.event_manager.term(name) for name in events}
   fields = ("cam_pos", "cam_quat", "cam_intrinsic", "cam_fovy", "light_pos", "light_diffuse", "geom_rgba")
   fields += ("mat_texid", "mat_rgba", "mat_texrepeat")
-  everybody = torch.ones(4, dtype=torch.bool)
+  everywhere = torch.ones(4, dtype=torch.bool)
   changed = {}
   for name, term in terms.items():
     # All worlds as compiled, but for what this one draws.
@@ -108,7 +108,7 @@ def test_each_of_them_alone_changes_what_is_seen() -> None:
       values = env.sim.model[field]
       values.copy_(torch.as_tensor(getattr(env.sim.mj_model, field)).reshape(values.shape[1:]).expand_as(values))
     assert np.ptp(images(env), axis=0).max() == 0.0
-    term(everybody)
+    term(everywhere)
     seen = images(env)
     changed[name] = float(np.abs(seen - seen[:1]).max())
   assert len(changed) == 10
@@ -125,7 +125,7 @@ def test_a_reset_changes_what_its_worlds_see_and_no_bit_of_the_others(make: Env)
   env.reset(env_ids=[1])
   after: Any = env.get_observations()["camera"]
   assert (after != before).flatten(1).any(1).tolist() == [False, True, False, False]
-  # A camera is a world's for good.
+  # The camera of a world never changes.
   for old, name in zip(looks, ("cam_pos", "cam_quat", "cam_intrinsic"), strict=True):
     assert torch.equal(env.sim.model[name], old)
 

@@ -198,7 +198,7 @@ def test_every_reward_is_its_formula_and_the_total_their_weighted_sum(steps: lis
   for name in WEIGHTS:
     ours, oracle = sides(steps, "rewards", name)
     np.testing.assert_allclose(ours, oracle, rtol=1e-5, atol=1e-6, err_msg=name)
-    # A cube that nobody lifts is hardly ever near its goal.
+    # A cube that is not lifted is hardly ever near its goal.
     assert oracle.max() > (1e-12 if name == "lift_precise" else 1e-3), name
   ours, oracle = np.array([s.total for s in steps]).T
   np.testing.assert_allclose(ours, oracle, rtol=1e-5, atol=1e-6)
@@ -226,6 +226,6 @@ def test_episodes_end_with_their_goal_or_where_the_hand_presses_on_the_ground(st
   assert sum(s.truncated[1] for s in steps) > 10
 
 
-def test_physics_is_that_of_mujoco_c_under_set_points_within_their_range(steps: list[Step]) -> None:
+def test_physics_is_that_of_mujoco_c_under_targets_within_their_range(steps: list[Step]) -> None:
   ours, oracle = np.array([s.shadow[0] for s in steps]), np.array([s.shadow[1] for s in steps])
   np.testing.assert_allclose(ours, oracle, rtol=0.0, atol=1e-7)

@@ -14,7 +14,7 @@ STEP = DECIMATION * PHYSICS_DT
 
 
 def scatter(env: ManagerBasedRlEnv, seed: int) -> None:
-  """Arms in poses of their own, cubes anywhere about the hands."""
+  """Arms in different poses, and cubes around the hands."""
   rng = np.random.default_rng(seed)
   robot = env.scene["robot"]
   limits = robot.data.joint_pos_limits[0].numpy()

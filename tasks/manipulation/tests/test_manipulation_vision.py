@@ -17,7 +17,9 @@ from mjlab_manipulation import (
   lift_cube_rgb,
   lift_cube_rgb_env,
   lift_objects_depth,
+  lift_objects_depth_env,
   lift_objects_rgb,
+  lift_objects_rgb_env,
   multi_cube_seg,
   multi_cube_seg_env,
 )
@@ -40,12 +42,19 @@ def project(env: ManagerBasedRlEnv, world: int, points: np.ndarray) -> tuple[np.
 
 
 @pytest.mark.parametrize(
-  ("make", "channels"), [(lift_cube_depth_env, 1), (lift_cube_rgb_env, 3), (multi_cube_seg_env, 2)]
+  ("make", "channels", "poses"),
+  [
+    (lift_cube_depth_env, 1, 29),
+    (lift_cube_rgb_env, 3, 29),
+    (multi_cube_seg_env, 2, 29),
+    (lift_objects_depth_env, 1, 38),
+    (lift_objects_rgb_env, 3, 38),
+  ],
 )
-def test_the_actor_sees_the_critic_is_told(make: Env, channels: int) -> None:
+def test_the_actor_has_images_and_the_critic_poses(make: Env, channels: int, poses: int) -> None:
   env, _ = lift(2, make)
   shapes = {group: tuple(v.shape[1:]) for group, v in env.get_observations().items() if isinstance(v, torch.Tensor)}
-  assert shapes == {"actor": (26,), "critic": (29,), "camera": (channels, 32, 32)}
+  assert shapes == {"actor": (26,), "critic": (poses,), "camera": (channels, 32, 32)}
   assert env.action_manager.total_action_dim == 7
   seen = images(env)
   assert seen.min() >= 0.0
@@ -127,7 +136,7 @@ def test_the_mask_is_where_rays_meet_the_cube_that_is_meant_first() -> None:
   assert len(set(term.target.tolist())) == 3
 
 
-def test_every_episode_has_a_colour_of_its_own() -> None:
+def test_every_episode_draws_a_colour() -> None:
   env, _ = lift(6, lift_cube_rgb_env)
   geom = env.sim.mj_model.geom("cube/cube").id
   before = env.sim.model.geom_rgba[:, geom].numpy().copy()
@@ -152,7 +161,9 @@ def test_watching_shows_clean_images_and_training_runs(tmp_path: Path) -> None:
     assert result.iterations == 1
 
 
-@pytest.mark.parametrize(("rnn_type", "sees"), [("gru", False), ("lstm", True)], ids=["told critic", "shared encoder"])
+@pytest.mark.parametrize(
+  ("rnn_type", "sees"), [("gru", False), ("lstm", True)], ids=["critic of poses", "shared encoder"]
+)
 def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) -> None:
   task: Any = lift_cube_depth()
   task.agent.actor.rnn_type = rnn_type
@@ -175,7 +186,7 @@ def test_a_policy_that_sees_and_remembers_is_trained(rnn_type: Any, sees: bool) 
   ],
   ids=["channel", "data", "command"],
 )
-def test_what_is_wrong_with_an_image_is_said_at_build(params: dict[str, Any], message: str) -> None:
+def test_bad_params_of_an_image_are_refused_at_build(params: dict[str, Any], message: str) -> None:
   def broken() -> ManagerBasedRlEnvCfg:
     cfg = multi_cube_seg_env()
     image_cfg(cfg).params.update(params)
@@ -185,7 +196,7 @@ def test_what_is_wrong_with_an_image_is_said_at_build(params: dict[str, Any], me
     lift(2, broken)
 
 
-def test_three_cubes_have_colours_of_their_own() -> None:
+def test_three_cubes_have_different_colours() -> None:
   env, term = lift(2, multi_cube_seg_env)
   colours = [env.sim.mj_model.geom(f"{name}/cube").rgba[:3] for name in CUBES]
   assert [int(np.argmax(colour)) for colour in colours] == [0, 1, 2]

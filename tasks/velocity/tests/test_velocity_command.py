@@ -11,16 +11,14 @@ from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_velocity import go1_flat
 from mjlab_velocity.mdp import UniformVelocityCommand, VelocityRanges, VelocityStage
-from velocity_rollout import make_env
+from velocity_rollout import make_env, started_env
 
 ROUNDS = 250
 
 
 @pytest.fixture(scope="module")
 def env() -> ManagerBasedRlEnv:
-  env = make_env(64)
-  env.reset()
-  return env
+  return started_env(64)
 
 
 def twist(env: ManagerBasedRlEnv) -> UniformVelocityCommand:
@@ -45,9 +43,9 @@ def follow(env: ManagerBasedRlEnv) -> np.ndarray:
 def draws(env: ManagerBasedRlEnv) -> dict[str, np.ndarray]:
   """Commands of 16000 draws, seen at two headings of the robots, and what was drawn for them."""
   seen: dict[str, list[np.ndarray]] = {name: [] for name in ("first", "second", "ahead", "holds", "target")}
-  term, everybody = twist(env), torch.ones(env.num_envs, dtype=torch.bool)
+  term, everywhere = twist(env), torch.ones(env.num_envs, dtype=torch.bool)
   for _ in range(ROUNDS):
-    env.command_manager.reset(everybody)
+    env.command_manager.reset(everywhere)
     for name, yaw in (("first", 0.3), ("second", 0.35)):
       face(env, torch.full((env.num_envs,), yaw, dtype=torch.float64))
       seen[name].append(follow(env))
@@ -105,11 +103,11 @@ def test_speeds_are_uniform_in_their_ranges(draws: dict[str, np.ndarray]) -> Non
 
 
 def test_turning_follows_the_heading_error_the_short_way_and_within_its_range(env: ManagerBasedRlEnv) -> None:
-  term, everybody = twist(env), torch.ones(env.num_envs, dtype=torch.bool)
+  term, everywhere = twist(env), torch.ones(env.num_envs, dtype=torch.bool)
   generator = torch.Generator().manual_seed(1)
   seen: list[float] = []
   for _ in range(30):
-    env.command_manager.reset(everybody)
+    env.command_manager.reset(everywhere)
     yaw = (torch.rand(env.num_envs, generator=generator, dtype=torch.float64) * 2 - 1) * np.pi
     face(env, yaw)
     command = follow(env)
@@ -138,7 +136,7 @@ def test_a_command_lasts_three_to_eight_seconds(env: ManagerBasedRlEnv) -> None:
   assert np.mean(waits) == pytest.approx(5.5, abs=0.4)
 
 
-def test_a_reset_draws_anew_and_only_where_it_happens(env: ManagerBasedRlEnv) -> None:
+def test_a_reset_draws_new_commands_in_its_worlds_only(env: ManagerBasedRlEnv) -> None:
   term = twist(env)
   mask = torch.arange(env.num_envs) % 2 == 0
   before, left = term._drawn.clone(), term.time_left.clone()
@@ -150,8 +148,7 @@ def test_a_reset_draws_anew_and_only_where_it_happens(env: ManagerBasedRlEnv) ->
 
 
 def test_logged_errors_are_means_over_the_steps_of_each_episode() -> None:
-  env = make_env(1)
-  env.reset()
+  env = started_env(1)
   generator = torch.Generator().manual_seed(0)
   for length in (6, 3):
     env.drain_log()
@@ -180,8 +177,7 @@ def test_logged_errors_are_means_over_the_steps_of_each_episode() -> None:
 
 
 def test_stages_of_the_command_follow_the_step_counter() -> None:
-  env = make_env(2)
-  env.reset()
+  env = started_env(2)
   expected = {
     0: ((-1.0, 1.0), (-1.0, 1.0), (-0.5, 0.5)),
     119_999: ((-1.0, 1.0), (-1.0, 1.0), (-0.5, 0.5)),
@@ -241,9 +237,8 @@ def test_impossible_commands_and_stages_are_refused_by_name(
     make_env(1, commands=cfg.commands, curriculum=cfg.curriculum)
 
 
-def test_a_command_given_by_hand_holds_in_its_world_until_it_is_taken_back() -> None:
-  env = make_env(2)
-  env.reset()
+def test_a_steered_command_holds_in_its_world_until_steering_ends() -> None:
+  env = started_env(2)
   command = twist(env)
   own = follow(env)
   command.steer(1, (0.5, -0.25, 0.125))

@@ -40,7 +40,7 @@ def test_a_velocity_along_the_axes_of_the_world_turns_against_the_root() -> None
   assert 20 < in_world.sum() < 44
 
 
-def test_a_share_of_episodes_begins_at_the_drawn_velocity_and_later_draws_push_nobody() -> None:
+def test_a_share_of_episodes_begins_at_the_drawn_velocity_and_later_draws_push_no_robot() -> None:
   env, term = env_with(64, initial_velocity_fraction=0.5, heading_fraction=0.0)
   velocity = torch.cat((env.scene["robot"].data.root_link_lin_vel_b, env.scene["robot"].data.root_link_ang_vel_b), -1)
   wanted = torch.cat((term.command[:, :2], torch.zeros(64, 3), term.command[:, 2:]), -1).to(velocity.dtype)

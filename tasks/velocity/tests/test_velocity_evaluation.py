@@ -44,7 +44,7 @@ def test_each_world_keeps_its_command(env: ManagerBasedRlEnv) -> None:
   assert torch.equal(env.command_manager.get_command("twist"), wanted)
 
 
-def test_pushes_are_as_large_as_they_are_said_to_be_and_go_anywhere(env: ManagerBasedRlEnv) -> None:
+def test_pushes_have_their_level_and_any_direction(env: ManagerBasedRlEnv) -> None:
   push = env.event_manager.get_term_cfg("push_robot")
   assert isinstance(push.func, push_by_level)
   before = env.scene["robot"].data.root_link_lin_vel_w.clone()
@@ -122,7 +122,7 @@ def test_the_summary_is_by_command_and_by_push() -> None:
   assert result.groups["all"]["action_change"].mean == 0.0
 
 
-def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
+def test_every_metric_is_that_of_the_same_episodes_computed_step_by_step() -> None:
   """Step by step from the state that each step ended in, with falls, one of them on the first step."""
 
   # No push within an episode: one comes after a step is judged, and would be seen here.
@@ -130,7 +130,7 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
 
   def configured() -> ManagerBasedRlEnvCfg:
     cfg = judge.configure(go1_flat_env())
-    cfg.terminations = {"time_out": cfg.terminations["time_out"], "fallen": TerminationTermCfg(falls_when_told)}
+    cfg.terminations = {"time_out": cfg.terminations["time_out"], "fallen": TerminationTermCfg(falls_on_schedule)}
     drawn = {"randomizer": pseudo_inertia(".*_thigh", alpha=(0.2, 0.5))}
     cfg.events["mass"] = EventTermCfg(mdp.randomize, mode="startup", params=drawn)
     return cfg
@@ -198,11 +198,11 @@ def test_every_number_is_that_of_the_same_episodes_worked_out_by_hand() -> None:
     }, group
 
 
-def falls_when_told(env: ManagerBasedRlEnv) -> torch.Tensor:
+def falls_on_schedule(env: ManagerBasedRlEnv) -> torch.Tensor:
   """World 1 on its first step, world 7 on its ninth."""
-  told = torch.zeros(env.num_envs, dtype=torch.int64)
-  told[1], told[7] = 1, 9
-  return env.episode_length_buf == told
+  step = torch.zeros(env.num_envs, dtype=torch.int64)
+  step[1], step[7] = 1, 9
+  return env.episode_length_buf == step
 
 
 def test_a_task_without_a_velocity_command_is_refused() -> None:

@@ -74,12 +74,6 @@ def test_a_level_border_of_twenty_metres_surrounds_the_grid(ground: Height) -> N
     assert np.isnan(ground(x, y))
 
 
-def test_flat_tiles_are_flat_on_all_levels(on: Callable[[str, int, float, float], float]) -> None:
-  for row, _ in rows():
-    for x, y in product((-3.9, 0.0, 2.0), repeat=2):
-      assert on("flat", row, x, y) == pytest.approx(0.0, abs=1e-6)
-
-
 @pytest.mark.parametrize(("kind", "sign"), [("stairs_up", 1.0), ("stairs_down", -1.0)])
 def test_stairs_have_five_steps_of_thirty_centimetres_and_rise_to_ten_each(
   on: Callable[[str, int, float, float], float], kind: str, sign: float
@@ -105,13 +99,17 @@ def test_slopes_reach_forty_five_degrees_and_platforms_two_metres(
       assert on(kind, row, x, y) == pytest.approx(sign * min(rise, slope * 2.065), abs=0.011)
 
 
-def test_waves_are_as_long_and_high_as_the_table_says_with_a_crest_in_the_middle(
-  on: Callable[[str, int, float, float], float],
+def waves(difficulty: float, x: float, y: float) -> float:
+  return 0.1 * difficulty * (np.cos(2.0 * np.pi * x / 1.9) + np.cos(2.0 * np.pi * y / 1.9))
+
+
+@pytest.mark.parametrize(("kind", "expected", "tol"), [("flat", lambda *_: 0.0, 1e-6), ("waves", waves, 0.008)])
+def test_flat_tiles_and_waves_have_the_heights_of_the_table(
+  on: Callable[[str, int, float, float], float], kind: str, expected: Callable[..., float], tol: float
 ) -> None:
   for row, difficulty in rows():
-    for x, y in product((-1.9, -0.95, -0.3, 0.0, 0.95, 1.4, 2.85), repeat=2):
-      wave = 0.1 * difficulty * (np.cos(2.0 * np.pi * x / 1.9) + np.cos(2.0 * np.pi * y / 1.9))
-      assert on("waves", row, x, y) == pytest.approx(wave, abs=0.008)
+    for x, y in product((-3.0, -1.9, -0.95, -0.3, 0.0, 0.95, 1.4, 2.85), repeat=2):
+      assert on(kind, row, x, y) == pytest.approx(expected(difficulty, x, y), abs=tol)
 
 
 def test_rough_ground_grows_with_the_level_to_the_spread_of_the_table(
@@ -141,7 +139,7 @@ def test_robots_begin_on_the_surface_of_the_middle_of_their_tiles(
 
 
 @pytest.mark.parametrize("task", [name for name in TASKS if "Rough" in name])
-def test_nobody_begins_inside_the_ground_of_any_tile(task: str) -> None:
+def test_no_robot_begins_inside_the_ground_of_any_tile(task: str) -> None:
   env = make_env(70, task=task)
   levels: Any = env.scene.terrain_levels
   levels.levels.copy_(torch.arange(70) // 7)

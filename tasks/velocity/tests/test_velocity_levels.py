@@ -88,8 +88,9 @@ def test_the_preset_draws_all_that_a_robot_differs_in() -> None:
 def test_the_preset_can_be_evaluated_at_levels_of_its_own_events() -> None:
   task = sim_to_real(g1_rough_blind())
   assert task.agent.experiment_name == "g1_velocity_blind_sim_to_real"
-  levels: dict[str, tuple[float, ...]] = {"stiffness": (0.8, 1.2), "payload": (0.0, 3.0)}
-  cfg = VelocityEvaluation(levels=levels, grid=((0.0, 0.0, 0.0),), pushes=(0.0,), repeats=1).configure(task.env)
+  cfg = VelocityEvaluation(
+    levels={"stiffness": (0.8, 1.2), "payload": (0.0, 3.0)}, grid=((0.0, 0.0, 0.0),), pushes=(0.0,), repeats=1
+  ).configure(task.env)
   cfg.scene.terrain = go1_flat_env().scene.terrain
   cfg.terminations["out_of_terrain_bounds"] = None
   cfg.scene.max_init_terrain_level = None

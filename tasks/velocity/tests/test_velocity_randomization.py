@@ -8,7 +8,7 @@ import torch
 from mjlab_envs import ManagerBasedRlEnv
 from scipy import stats
 from velocity_facts import TASKS, Robot
-from velocity_rollout import make_env
+from velocity_rollout import started_env
 
 
 @pytest.fixture(scope="module", params=[name for name in TASKS if "Flat" in name])
@@ -23,9 +23,7 @@ def robot(task: str) -> Robot:
 
 @pytest.fixture(scope="module")
 def env(task: str) -> ManagerBasedRlEnv:
-  env = make_env(128, task=task)
-  env.reset()
-  return env
+  return started_env(128, task=task)
 
 
 def feet_friction(env: ManagerBasedRlEnv, robot: Robot) -> np.ndarray:
@@ -80,12 +78,11 @@ def test_every_joint_of_every_world_has_its_own_encoder_bias(env: ManagerBasedRl
   assert is_uniform(bias.ravel(), -0.015, 0.015)
 
 
-def test_the_encoder_bias_is_seen_by_the_actor_alone_and_taken_off_its_set_points(task: str, robot: Robot) -> None:
+def test_only_the_actor_sees_the_encoder_bias_and_its_targets_are_corrected_by_it(task: str, robot: Robot) -> None:
   observed = TASKS[task].make().env.observations
   actor: Any = observed["actor"]
   actor.corrupt = False
-  quiet = make_env(8, task=task, observations=observed)
-  quiet.reset()
+  quiet = started_env(8, task=task, observations=observed)
   action = torch.randn(8, len(robot.joints), generator=torch.Generator().manual_seed(0))
   observations = quiet.step(action)[0]
   bias = quiet.scene["robot"].data.encoder_bias.double().numpy()
@@ -116,11 +113,8 @@ def test_the_centre_of_mass_of_the_torso_alone_moves_within_its_box(env: Manager
 
 def test_a_world_keeps_its_body_through_all_episodes(env: ManagerBasedRlEnv, robot: Robot) -> None:
   def body() -> list[np.ndarray]:
-    return [
-      feet_friction(env, robot),
-      com_offset(env, robot),
-      env.scene["robot"].data.encoder_bias.double().numpy().copy(),
-    ]
+    bias = env.scene["robot"].data.encoder_bias.double().numpy().copy()
+    return [feet_friction(env, robot), com_offset(env, robot), bias]
 
   before = body()
   env.reset()

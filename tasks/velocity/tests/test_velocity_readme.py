@@ -76,14 +76,12 @@ def test_tasks_have_the_sizes_of_their_table(envs: dict[str, ManagerBasedRlEnv])
 
 def test_the_table_of_rewards_is_that_of_the_tasks() -> None:
   rows = table("term", "value")
+  gates = {name(row["term"]): float(row["gate"]) if row["gate"] else None for row in rows}
   for column, task in COLUMNS.items():
-    rewards = TASKS[task].make().env.rewards
+    rewards = {term: cfg for term, cfg in TASKS[task].make().env.rewards.items() if cfg is not None}
     written = {name(row["term"]): float(row[column]) for row in rows if row[column]}
-    assert written == {term: cfg.weight for term, cfg in rewards.items() if cfg is not None}
-    for row in rows:
-      cfg = rewards.get(name(row["term"]))
-      if cfg is not None:
-        assert cfg.params.get("threshold") == (float(row["gate"]) if row["gate"] else None)
+    assert written == {term: cfg.weight for term, cfg in rewards.items()}
+    assert {term: gates[term] for term in rewards} == {t: cfg.params.get("threshold") for t, cfg in rewards.items()}
 
 
 def test_the_table_of_terminations_is_that_of_the_tasks(envs: dict[str, ManagerBasedRlEnv]) -> None:
@@ -104,14 +102,9 @@ def test_the_table_of_observations_is_that_of_the_tasks(envs: dict[str, ManagerB
       assert written == [(term.name, term.shape[0]) for term in env.observation_manager.layout(group)]
     actor: Any = env.cfg.observations["actor"]
     for row in (row for row in mine if row["actor, uniform noise ±"] != "-"):
-      term, said = actor.terms[name(row["term"])], row["actor, uniform noise ±"]
-      assert term is not None
-      if said == "none":
-        assert term.noise is None
-      else:
-        assert isinstance(term.noise, UniformNoiseCfg)
-        size = float(said.split()[0])
-        assert (term.noise.n_min, term.noise.n_max) == (-size, size)
+      noise, said = actor.terms[name(row["term"])].noise, row["actor, uniform noise ±"]
+      size = 0.0 if said == "none" else float(said.split()[0])
+      assert noise == (UniformNoiseCfg(n_min=-size, n_max=size) if size else None)
 
 
 @pytest.mark.parametrize("robot", ["Go1", "G1"])

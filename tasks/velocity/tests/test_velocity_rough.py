@@ -13,7 +13,7 @@ from mjlab_terrain import TerrainGridCfg
 from mjlab_velocity.mdp import plane_normal
 from velocity_facts import TASKS
 from velocity_oracle import fitted_normal
-from velocity_rollout import make_env
+from velocity_rollout import make_env, started_env
 
 GO1, G1 = "Mjlab-Velocity-Rough-Unitree-Go1", "Mjlab-Velocity-Rough-Unitree-G1"
 KINDS = ("flat", "stairs_up", "stairs_down", "slope_up", "slope_down", "random_rough", "waves")
@@ -54,7 +54,7 @@ def post_spec() -> mujoco.MjSpec:
   return mujoco.MjSpec.from_string('<mujoco><worldbody><body name="post"><geom size=".1"/></body></worldbody></mujoco>')
 
 
-def test_what_stands_on_the_ground_goes_along_to_another_tile() -> None:
+def test_fixed_entities_move_with_their_world_to_another_tile() -> None:
   task: Any = TASKS[GO1].make()
   task.env.scene.num_envs, task.env.seed = 16, 7
   task.env.scene.entities["post"] = EntityCfg(spec_fn=post_spec)
@@ -77,23 +77,18 @@ def test_levels_follow_the_distance_walked_and_what_was_asked(env: ManagerBasedR
   command[:2] = 0.0
   after = end_episodes(env, walked, command)
   asked = 0.5 * 20.0 * np.hypot(command[:, 0], command[:, 1])
-  expected = before.copy()
-  for world in range(40):
-    if walked[world] > 4.0:
-      expected[world] += 1
-    elif walked[world] < asked[world]:
-      expected[world] = max(expected[world] - 1, 0)
+  expected = np.where(walked > 4.0, before + 1, np.where(walked < asked, np.maximum(before - 1, 0), before))
   drawn = expected == 10
   assert (after[~drawn] == expected[~drawn]).all()
   assert drawn.any()
   assert (after[drawn] < 10).all()
   assert all(kind in set(np.sign(after - before)) for kind in (-1, 0, 1))
-  # Who moved begins on the new tile.
+  # Worlds that moved begin on the new tile.
   terrain: Any = env.scene.terrain
   np.testing.assert_allclose(env.scene.env_origins.numpy(), terrain.origins[after, levels.columns.numpy()])
 
 
-def test_the_first_reset_moves_nobody(env: ManagerBasedRlEnv) -> None:
+def test_the_first_reset_moves_no_world(env: ManagerBasedRlEnv) -> None:
   fresh = make_env(20, task=GO1)
   before = levels_of(fresh).levels.clone()
   fresh.reset()
@@ -122,22 +117,18 @@ def test_mean_and_greatest_level_and_that_of_each_kind_of_ground_are_logged(env:
   levels.columns.copy_(before)
 
 
-def test_a_kind_of_ground_on_which_nobody_stands_logs_no_nonsense() -> None:
-  env = make_env(2, task=GO1)
-  env.reset()
+def test_a_kind_of_ground_without_robots_logs_finite_values() -> None:
+  env = started_env(2, task=GO1)
   env.episode_length_buf.fill_(1000)
   env.step(torch.zeros(2, 12))
   assert all(np.isfinite(value) for value in env.drain_log().values())
 
 
 @pytest.mark.parametrize("task", [GO1, G1])
-def test_episodes_are_cut_short_thirty_centimetres_before_the_end_of_the_world(task: str) -> None:
-  env = make_env(8, task=task)
-  env.reset()
-  place = torch.tensor(
-    [[59.6, 0.0], [59.8, 0.0], [-59.6, 47.6], [-59.8, 0.0], [0.0, 47.6], [0.0, 47.8], [0.0, -47.6], [9.0, -47.8]]
-  )
-  env.sim.data.qpos[:, :2] = place.double()
+def test_episodes_are_truncated_thirty_centimetres_before_the_end_of_the_terrain(task: str) -> None:
+  env = started_env(8, task=task)
+  x, y = [59.6, 59.8, -59.6, -59.8, 0.0, 0.0, 0.0, 9.0], [0.0, 0.0, 47.6, 0.0, 47.6, 47.8, -47.6, -47.8]
+  env.sim.data.qpos[:, :2] = torch.tensor([x, y]).double().T
   env.sim.data.qpos[:, 2] = 1.0
   _, _, terminated, truncated, _ = env.step(torch.zeros(8, len(TASKS[task].robot.joints)))
   assert truncated.tolist() == [False, True, False, True, False, True, False, True]
@@ -198,8 +189,7 @@ def test_the_normal_is_vertical_where_hits_make_no_plane(dtype: torch.dtype) -> 
 
 @pytest.mark.parametrize("slope", ["slope_up", "slope_down"])
 def test_a_go1_that_lies_along_the_slope_is_upright_and_one_that_stands_level_is_not(slope: str) -> None:
-  env = make_env(2, task=GO1)
-  env.reset()
+  env = started_env(2, task=GO1)
   x, y = 8.0 * 4.5 + 2.4, 8.0 * (KINDS.index(slope) - 3.0)
   sign = 1.0 if slope == "slope_up" else -1.0
   # Half-way down the side the ground falls by 1 in 1 along x; the second world is turned along with it.

@@ -28,7 +28,7 @@ def test_the_task_is_found_under_its_name(name: str) -> None:
 
 def test_time_and_solver_are_those_of_the_table(built: tuple[str, ManagerBasedRlEnv]) -> None:
   name, env = built
-  solver = TASKS[name].solver
+  solver = TASKS[name].robot.solver
   assert (env.physics_dt, env.step_dt, env.max_episode_length) == (0.005, 0.02, 1000)
   option = env.sim.mj_model.opt
   assert (option.iterations, option.ls_iterations) == (10, 20)
@@ -85,7 +85,7 @@ def test_all_tasks_push_resample_and_widen_commands_alike(name: str) -> None:
 
 
 @every_task
-def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> None:
+def test_the_play_config_differs_only_as_the_table_says(name: str) -> None:
   task: Any = TASKS[name].make()
   cfg, trained = task.play(task.env), TASKS[name].make().env
   actor: Any = cfg.observations["actor"]
@@ -112,7 +112,7 @@ def test_watching_changes_what_the_table_says_and_nothing_else(name: str) -> Non
   assert cfg == trained
 
 
-def test_who_watches_sees_without_noise_and_is_never_pushed_nor_timed_out() -> None:
+def test_the_play_config_has_no_noise_no_pushes_and_no_time_out() -> None:
   task: Any = TASKS["Mjlab-Velocity-Flat-Unitree-Go1"].make()
   task.env.scene.num_envs, task.env.seed = 4, 7
   env = ManagerBasedRlEnv(task.play(task.env), device="cpu")
@@ -138,11 +138,8 @@ def test_the_learner_is_that_of_the_table(name: str) -> None:
     assert model.hidden_dims == (512, 256, 128)
     assert model.activation == "elu"
     assert model.obs_normalization
-  assert agent.actor.distribution_cfg == {
-    "class_name": "GaussianDistribution",
-    "init_std": 1.0,
-    "std_type": "scalar",
-  }
+  gaussian = {"class_name": "GaussianDistribution", "init_std": 1.0, "std_type": "scalar"}
+  assert agent.actor.distribution_cfg == gaussian
   assert agent.critic.distribution_cfg is None
   expected: dict[str, Any] = {
     "num_learning_epochs": 5,
@@ -160,5 +157,5 @@ def test_the_learner_is_that_of_the_table(name: str) -> None:
     "normalize_advantage_per_mini_batch": False,
   }
   assert {key: getattr(agent.algorithm, key) for key in expected} == expected
-  assert (agent.num_steps_per_env, agent.max_iterations, agent.save_interval) == (24, TASKS[name].iterations, 50)
-  assert (agent.experiment_name, agent.seed, agent.clip_actions) == (TASKS[name].experiment, 42, None)
+  assert (agent.num_steps_per_env, agent.max_iterations, agent.save_interval) == (24, TASKS[name].robot.iterations, 50)
+  assert (agent.experiment_name, agent.seed, agent.clip_actions) == (TASKS[name].robot.experiment, 42, None)

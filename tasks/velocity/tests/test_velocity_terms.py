@@ -9,7 +9,7 @@ from mjlab_managers import MetricsTermCfg
 from mjlab_velocity import go1_flat
 from velocity_facts import TASKS
 from velocity_oracle import Contacts, matrix
-from velocity_rollout import STATE, Rollout, Step, make_env, note_state
+from velocity_rollout import STATE, Rollout, Step, note_state, started_env
 
 AMPLITUDE = {
   "base_lin_vel": 0.5,
@@ -121,7 +121,7 @@ def test_the_actor_sees_actions_and_command_as_they_are(steps: list[Step]) -> No
     assert all(np.array_equal(step.actor[name][0], step.critic[name][0]) for step in steps)
 
 
-def test_physics_is_that_of_mujoco_c_under_set_points_less_the_encoder_bias(steps: list[Step]) -> None:
+def test_physics_is_that_of_mujoco_c_under_targets_less_the_encoder_bias(steps: list[Step]) -> None:
   for i, tol in ((0, 1e-8), (1, 1e-6)):
     ours, oracle = _physics(steps, i)
     np.testing.assert_allclose(ours, oracle, rtol=0.0, atol=tol)
@@ -170,8 +170,7 @@ def test_pushes_are_as_large_and_come_as_often_as_the_table_says() -> None:
   cfg = go1_flat().env
   # Robots that hover, so that physics costs little.
   cfg.sim.gravity, cfg.sim.timestep = (0.0, 0.0, 0.0), 0.02
-  env = make_env(32, sim=cfg.sim, decimation=1, metrics={"state": MetricsTermCfg(note_state)})
-  env.reset()
+  env = started_env(32, sim=cfg.sim, decimation=1, metrics={"state": MetricsTermCfg(note_state)})
   pushes, waits, since = [], [], np.zeros(32)
   for _ in range(250):
     _, _, terminated, truncated, _ = env.step(torch.zeros(32, 12))

@@ -4,7 +4,7 @@ from typing import Any
 
 import torch
 from mjlab_envs import ManagerBasedRlEnv
-from velocity_rollout import make_env
+from velocity_rollout import make_env, started_env
 
 ROUGH = "Mjlab-Velocity-Rough-Unitree-G1"
 """The task with the most that could leak between worlds."""
@@ -17,10 +17,7 @@ def play(env: ManagerBasedRlEnv, steps: int, seed: int = 3) -> list[list[torch.T
   for _ in range(steps):
     action = 0.5 * torch.randn(env.num_envs, env.action_manager.total_action_dim, generator=generator)
     observations, reward, terminated, truncated, _ = env.step(action)
-    actor, critic = observations["actor"], observations["critic"]
-    assert isinstance(actor, torch.Tensor)
-    assert isinstance(critic, torch.Tensor)
-    seen.append([actor, critic, reward, terminated, truncated])
+    seen.append([*(torch.as_tensor(observations[g]) for g in ("actor", "critic")), reward, terminated, truncated])
   return seen
 
 
@@ -31,7 +28,7 @@ def names(state: dict[str, Any], prefix: str = "") -> set[str]:
   return found
 
 
-def test_what_a_world_sees_does_not_depend_on_who_is_reset() -> None:
+def test_observations_of_a_world_do_not_depend_on_resets_of_others() -> None:
   alone, disturbed = make_env(6, task=ROUGH), make_env(6, task=ROUGH)
   alone.reset()
   disturbed.reset()
@@ -43,7 +40,7 @@ def test_what_a_world_sees_does_not_depend_on_who_is_reset() -> None:
   assert not torch.equal(alone.sim.data.qpos[2], disturbed.sim.data.qpos[2])
 
 
-def test_a_world_that_diverges_is_ended_counted_and_nobody_elses_business() -> None:
+def test_a_world_that_diverges_ends_is_counted_and_changes_no_other_world() -> None:
   healthy, ill = make_env(4, task=ROUGH), make_env(4, task=ROUGH)
   healthy.reset()
   ill.reset()
@@ -63,14 +60,13 @@ def test_a_world_that_diverges_is_ended_counted_and_nobody_elses_business() -> N
 def test_the_same_seed_gives_the_same_worlds_and_another_seed_others() -> None:
   runs = []
   for seed in (1, 1, 2):
-    env = make_env(3, seed=seed)
-    env.reset()
+    env = started_env(3, seed=seed)
     runs.append(play(env, 5))
   assert all(torch.equal(a, b) for one, other in zip(*runs[:2], strict=True) for a, b in zip(one, other, strict=True))
   assert not torch.equal(runs[0][0][1], runs[2][0][1])
 
 
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds() -> None:
+def test_saved_names_do_not_depend_on_the_number_of_worlds() -> None:
   assert len({frozenset(names(make_env(num_envs).state_dict())) for num_envs in (1, 3, 4, 12, 37)}) == 1
 
 

@@ -37,6 +37,9 @@ class Robot:
   """Clearance of the feet in the default pose when the root is at `start[0]` above level ground [m]."""
   friction: tuple[float, float]
   """Range of the feet's sliding friction."""
+  iterations: int
+  experiment: str
+  solver: dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +49,6 @@ class Task:
   make: Callable[[], TaskCfg[ManagerBasedRlEnvCfg]]
   robot: Robot
   rough: bool
-  iterations: int
-  experiment: str
-  solver: dict[str, Any]
 
 
 def _per_joint(joints: tuple[str, ...], values: dict[str, float]) -> np.ndarray:
@@ -83,6 +83,9 @@ GO1 = Robot(
   start=(0.278 + 0.0265, 0.278 + 0.0665),
   sole=0.01,
   friction=(0.3, 1.5),
+  iterations=10_000,
+  experiment="go1_velocity",
+  solver={"cone": "elliptic", "impratio": 10.0, "ccd": 50},
 )
 
 _LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
@@ -107,6 +110,29 @@ _G1_DEFAULT = {
   "elbow": 0.6,
 }
 
+# Scale of actions, allowed deviation while walking and while running [rad].
+_G1_NUMBERS = {
+  "hip_pitch": (0.547546462991, 0.3, 0.5),
+  "hip_roll": (0.350661466379, 0.15, 0.2),
+  "hip_yaw": (0.547546462991, 0.15, 0.2),
+  "knee": (0.350661466379, 0.35, 0.6),
+  "ankle_pitch": (0.438577313923, 0.25, 0.35),
+  "ankle_roll": (0.438577313923, 0.1, 0.15),
+  "waist_yaw": (0.547546462991, 0.2, 0.3),
+  "waist_roll": (0.438577313923, 0.08, 0.08),
+  "waist_pitch": (0.438577313923, 0.1, 0.2),
+  "shoulder_pitch": (0.438577313923, 0.15, 0.5),
+  "shoulder_roll": (0.438577313923, 0.15, 0.2),
+  "shoulder_yaw": (0.438577313923, 0.1, 0.15),
+  "elbow": (0.438577313923, 0.15, 0.35),
+  "wrist_roll": (0.438577313923, 0.3, 0.3),
+  "wrist_pitch": (0.0745008703295, 0.3, 0.3),
+  "wrist_yaw": (0.0745008703295, 0.3, 0.3),
+}
+_G1_SCALE, _G1_WALKING, _G1_RUNNING = (
+  _per_joint(_G1_JOINTS, {joint: numbers[i] for joint, numbers in _G1_NUMBERS.items()}) for i in range(3)
+)
+
 G1 = Robot(
   root="pelvis",
   torso="torso_link",
@@ -117,102 +143,21 @@ G1 = Robot(
   ring=(0.03, 6),
   joints=_G1_JOINTS,
   default=np.array([sum(v for key, v in _G1_DEFAULT.items() if key in joint) for joint in _G1_JOINTS]),
-  action_scale=_per_joint(
-    _G1_JOINTS,
-    {
-      "hip_pitch": 0.547546462991,
-      "hip_yaw": 0.547546462991,
-      "waist_yaw": 0.547546462991,
-      "hip_roll": 0.350661466379,
-      "knee": 0.350661466379,
-      "ankle": 0.438577313923,
-      "waist_roll": 0.438577313923,
-      "waist_pitch": 0.438577313923,
-      "shoulder": 0.438577313923,
-      "elbow": 0.438577313923,
-      "wrist_roll": 0.438577313923,
-      "wrist_pitch": 0.0745008703295,
-      "wrist_yaw": 0.0745008703295,
-    },
-  ),
+  action_scale=_G1_SCALE,
   standing=_per_joint(_G1_JOINTS, {"": 0.05}),
-  walking=_per_joint(
-    _G1_JOINTS,
-    {
-      "hip_pitch": 0.3,
-      "hip_roll": 0.15,
-      "hip_yaw": 0.15,
-      "knee": 0.35,
-      "ankle_pitch": 0.25,
-      "ankle_roll": 0.1,
-      "waist_yaw": 0.2,
-      "waist_roll": 0.08,
-      "waist_pitch": 0.1,
-      "shoulder_pitch": 0.15,
-      "shoulder_roll": 0.15,
-      "shoulder_yaw": 0.1,
-      "elbow": 0.15,
-      "wrist": 0.3,
-    },
-  ),
-  running=_per_joint(
-    _G1_JOINTS,
-    {
-      "hip_pitch": 0.5,
-      "hip_roll": 0.2,
-      "hip_yaw": 0.2,
-      "knee": 0.6,
-      "ankle_pitch": 0.35,
-      "ankle_roll": 0.15,
-      "waist_yaw": 0.3,
-      "waist_roll": 0.08,
-      "waist_pitch": 0.2,
-      "shoulder_pitch": 0.5,
-      "shoulder_roll": 0.2,
-      "shoulder_yaw": 0.15,
-      "elbow": 0.35,
-      "wrist": 0.3,
-    },
-  ),
+  walking=_G1_WALKING,
+  running=_G1_RUNNING,
   start=(0.76 + 0.01, 0.76 + 0.05),
   sole=0.013,
   friction=(0.3, 1.2),
+  iterations=30_000,
+  experiment="g1_velocity",
+  solver={"cone": "pyramidal", "impratio": 1.0, "ccd": 50},
 )
 
-_GO1_SOLVER = {"cone": "elliptic", "impratio": 10.0, "ccd": 50}
-_G1_SOLVER = {"cone": "pyramidal", "impratio": 1.0, "ccd": 50}
-
 TASKS = {
-  "Mjlab-Velocity-Flat-Unitree-Go1": Task(
-    make=go1_flat,
-    robot=GO1,
-    rough=False,
-    iterations=10_000,
-    experiment="go1_velocity",
-    solver=_GO1_SOLVER,
-  ),
-  "Mjlab-Velocity-Flat-Unitree-G1": Task(
-    make=g1_flat,
-    robot=G1,
-    rough=False,
-    iterations=30_000,
-    experiment="g1_velocity",
-    solver=_G1_SOLVER,
-  ),
-  "Mjlab-Velocity-Rough-Unitree-Go1": Task(
-    make=go1_rough,
-    robot=GO1,
-    rough=True,
-    iterations=10_000,
-    experiment="go1_velocity",
-    solver=_GO1_SOLVER,
-  ),
-  "Mjlab-Velocity-Rough-Unitree-G1": Task(
-    make=g1_rough,
-    robot=G1,
-    rough=True,
-    iterations=30_000,
-    experiment="g1_velocity",
-    solver=_G1_SOLVER,
-  ),
+  "Mjlab-Velocity-Flat-Unitree-Go1": Task(make=go1_flat, robot=GO1, rough=False),
+  "Mjlab-Velocity-Flat-Unitree-G1": Task(make=g1_flat, robot=G1, rough=False),
+  "Mjlab-Velocity-Rough-Unitree-Go1": Task(make=go1_rough, robot=GO1, rough=True),
+  "Mjlab-Velocity-Rough-Unitree-G1": Task(make=g1_rough, robot=G1, rough=True),
 }

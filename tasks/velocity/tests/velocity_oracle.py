@@ -19,7 +19,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def world_model(env: ManagerBasedRlEnv, world: int) -> mujoco.MjModel:
-  """The model of one world: the compiled one with that world's randomised fields, constants made anew by MuJoCo C."""
+  """The compiled model with the randomised fields of one world; MuJoCo C recomputes its constants."""
   model = copy.copy(env.sim.mj_model)
   for name in RANDOMIZED:
     getattr(model, name)[:] = getattr(env.sim.model, name)[world].double().numpy()
@@ -64,7 +64,7 @@ class World:
     self._middle, self._half = ranges.mean(1), 0.9 * (ranges[:, 1] - ranges[:, 0]) / 2.0
 
   def control(self, action: np.ndarray) -> np.ndarray:
-    """Servo set-points in the order of the actuators: default + scale * action - encoder bias."""
+    """Servo targets in the order of the actuators: default + scale * action - encoder bias."""
     target = self.robot.default + self.robot.action_scale * action - self.bias
     joints = [self.model.joint(int(j)).name.removeprefix("robot/") for j in self.model.actuator_trnid[:, 0]]
     return target[[self.robot.joints.index(name) for name in joints]]
@@ -313,7 +313,7 @@ class Feet:
     return np.array([0.0 if found else length * SUBSTEP for found, length in last])
 
   def landed(self) -> np.ndarray:
-    """Feet whose flight ended within this step; the drop at the start of an episode is none."""
+    """Feet whose flight ended within this step; the drop at the start of an episode does not count."""
     landed = []
     for phases in self.phases:
       stands, lasted = phases[-1]

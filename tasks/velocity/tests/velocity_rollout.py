@@ -42,6 +42,13 @@ def make_env(num_envs: int, seed: int = 7, task: str = FLAT_GO1, **changes: Any)
   return ManagerBasedRlEnv(cfg, device="cpu")
 
 
+def started_env(num_envs: int, **options: Any) -> ManagerBasedRlEnv:
+  """`make_env` after a reset."""
+  env = make_env(num_envs, **options)
+  env.reset()
+  return env
+
+
 @dataclass(kw_only=True)
 class Step:
   """One step of one world: what the environment said, and what the oracle says."""
@@ -181,5 +188,5 @@ class Rollout:
       failed = world.tilt > np.deg2rad(70.0)
     x, y = world.data.qpos[:2]
     outside = self.task.rough and (abs(x) > 59.7 or abs(y) > 47.7)
-    # Who falls over in the last step fell over.
+    # A fall in the last step is a failure.
     return bool(failed), bool((self.ages[world.index] >= 1000 or outside) and not failed)

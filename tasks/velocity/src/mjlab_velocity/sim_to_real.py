@@ -36,7 +36,7 @@ def sim_to_real(
   | part | change |
   |---|---|
   | `inertia` | mass, centre of mass and inertia of all bodies are drawn; replaces the event `base_com` |
-  | `gains` | gains of each joint between 0.9 and 1.1 of their own |
+  | `gains` | gains of each joint are scaled by 0.9 to 1.1 |
   | `actuator_delay` | targets arrive up to 20 ms late, constant in a world |
   | `sensor_delay` | encoders and IMU up to one step of the policy late, constant in a world |
   | `torque_speed` | native servos become DC motors; their torque falls to 0 at the top speed |

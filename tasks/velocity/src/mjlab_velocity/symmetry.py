@@ -94,6 +94,5 @@ def _joints(env: "ManagerBasedRlEnv", names: Sequence[str]) -> Mirror:
   for name in names:
     mine, other = (model.joint(f"robot/{joint}").axis for joint in (name, twin(name)))
     columns.append(list(names).index(twin(name)))
-    along = sum(float(a * b * sign) for a, b, sign in zip(mine, other, _ROTATION, strict=True))
-    signs.append(math.copysign(1.0, along))
+    signs.append(math.copysign(1.0, (mine * other) @ _ROTATION))
   return columns, signs

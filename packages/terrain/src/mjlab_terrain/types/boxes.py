@@ -109,10 +109,10 @@ class RandomBoxesCfg(BorderedTileCfg):
   """Boxes of random size scattered over level ground, turned at random. Harder: more and higher boxes."""
 
   num_boxes: tuple[int, int] = scaled((40, 80), harder="more")
-  """Number of boxes; boxes close to the platform are left out."""
-  width: tuple[float, float] = drawn((0.1, 1.0), least=MIN_THICKNESS)
+  """Number of boxes; boxes that are close to the platform or reach over the border are left out."""
+  width: tuple[float, float] = drawn((0.1, 1.0), least=MIN_THICKNESS, inside=True)
   """Width of a box [m]."""
-  length: tuple[float, float] = drawn((0.1, 2.0), least=MIN_THICKNESS)
+  length: tuple[float, float] = drawn((0.1, 2.0), least=MIN_THICKNESS, inside=True)
   """Length of a box [m]."""
   height: tuple[float, float] = drawn((0.05, 0.3))
   """Height of a box above the ground [m], before it is scaled."""
@@ -123,18 +123,6 @@ class RandomBoxesCfg(BorderedTileCfg):
   platform: float = number(1.0)
   """Edge of the square in the middle that stays free [m]."""
 
-  def check(self, name: str, size: tuple[float, float]) -> None:
-    super().check(name, size)
-    room = min(size) - 2.0 * self.border
-    diagonal = math.hypot(self.width[1], self.length[1])
-    if diagonal > room:
-      most = math.floor(100.0 * room / math.sqrt(2.0)) / 100.0
-      self.refuse(
-        name,
-        f"the largest box has a diagonal of {diagonal:.3g} m, but there are {room:g} m inside the border; "
-        f"width and length of at most {most:g} m would work",
-      )
-
   def build(self, tile: Tile) -> None:
     # The same random numbers at any difficulty: an easier tile has the same boxes, only fewer and lower ones.
     most = round(max(self.num_boxes))
@@ -144,8 +132,9 @@ class RandomBoxesCfg(BorderedTileCfg):
     cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
     # Half of the extent of the turned box along the axes of the tile.
     reach = np.stack((cos * half[:, 0] + sin * half[:, 1], sin * half[:, 0] + cos * half[:, 1]), -1)
-    at = tile.rng.uniform(-1.0, 1.0, (most, 2)) * (0.5 * np.array(tile.inner(self.border)) - reach)
-    kept = (np.abs(at) >= reach + 0.5 * self.platform).any(-1) & (tops >= FLAT)
+    room = 0.5 * np.array(tile.inner(self.border)) - reach
+    at = tile.rng.uniform(-1.0, 1.0, (most, 2)) * room
+    kept = (np.abs(at) >= reach + 0.5 * self.platform).any(-1) & (room >= 0.0).all(-1) & (tops >= FLAT)
     kept[round(tile.scaled(self.num_boxes)) :] = False
     tile.slab()
     for k in np.flatnonzero(kept):
