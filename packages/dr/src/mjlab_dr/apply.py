@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Hashable, Mapping, Sequence
-from itertools import accumulate
+from itertools import accumulate, product
 from typing import Protocol
 
 import torch
@@ -157,9 +157,13 @@ class RandomizeField:
     self._places = None if is_whole else torch.tensor(axes, device=device)
     self._shape = (self._sim.num_envs, 1 if cfg.shared else len(self.element_names))
     self._full = (self._sim.num_envs, len(self.element_names), len(axes))
-    sources = [component.source for component in self.components for _ in component.columns]
-    is_all = sources == list(range(len(self.element_names) * len(axes)))
-    self._sources = None if is_all or self._form != "plain" else torch.tensor(sources, device=device)
+    self._sources = None
+    if self._form == "plain":
+      numbers = product(self.element_names, (cfg.row.axes[axis] for axis in axes))
+      places = {number: place for place, number in enumerate(numbers)}
+      sources = [places[c.element, c.axis] for c in self.components for _ in c.columns]
+      # A draw for each number, in order, is used as it is.
+      self._sources = None if sources == list(places.values()) else torch.tensor(sources, device=device)
     if self._form == "intrinsics":
       cameras = [component.row for component in self.components if component.field == "cam_fovy"]
       heights = 0.5 * self._sim.mj_model.cam_sensorsize[cameras, 1]

@@ -38,8 +38,6 @@ class Component:
   """Its element's row in the field, the first of several."""
   columns: tuple[int, ...]
   """Its columns in the values of one world, several if degrees of freedom share it."""
-  source: int
-  """Index of its draw, element by element and axis by axis; -1 if it follows from several."""
 
 
 def matched(cfg: FieldRandomizer, model: mujoco.MjModel, known: Elements | None, owner: str) -> Elements:
@@ -110,18 +108,15 @@ def components_of(
 ) -> tuple[Component, ...]:
   """Return all numbers that a randomiser writes, in the order of its fields; those without effect are left out."""
   field = cfg.row
-  # Column in a row, name, and place among the draws of an element, of the numbers that are written in each field.
-  numbers: dict[str, list[tuple[int, str, int | None]]]
+  # Column in a row and name of the numbers that are written in each field.
+  numbers: dict[str, list[tuple[int, str]]]
   if field.form == "plain":
-    numbers = {cfg.field: [(axis, field.axes[axis], place) for place, axis in enumerate(cfg.values)]}
+    numbers = {cfg.field: [(axis, field.axes[axis]) for axis in cfg.values]}
   elif field.form == "servo":
-    numbers = {"actuator_gainprm": [(0, "kp", 0)], "actuator_biasprm": [(1, "kp", 0)]}
+    numbers = {"actuator_gainprm": [(0, "kp")], "actuator_biasprm": [(1, "kp")]}
   else:
     written = {name: FIELDS[name] for name in written_fields(cfg.field)}
-    numbers = {
-      name: [(k, axis, None) for k, axis in enumerate("wxyz" if part.form == "rotation" else part.axes)]
-      for name, part in written.items()
-    }
+    numbers = {name: list(enumerate("wxyz" if row.form == "rotation" else row.axes)) for name, row in written.items()}
   return tuple(
     Component(
       field=name,
@@ -129,12 +124,11 @@ def components_of(
       axis=axis,
       row=at[0],
       columns=tuple(row * FIELDS[name].width + column for row in at),
-      source=-1 if place is None else e * len(cfg.values) + place,
     )
     for name, of_field in numbers.items()
-    for e, (element, i) in enumerate(elements.items())
+    for element, i in elements.items()
     for at in [rows(model, field, i)]
-    for column, axis, place in of_field
+    for column, axis in of_field
     if field.form != "plain" or (i, column) not in idle_numbers
   )
 
