@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import mjlab_rl
 import numpy as np
 import torch
-from matplotlib import rc_context
+from matplotlib import colormaps, rc_context
 from matplotlib.figure import Figure
 from mjlab_core import AtomicWrite, matrix_from_quat
 from mjlab_dr import LogUniform
@@ -156,16 +156,34 @@ def _draw_ellipsoids(panel: Any, name: str, inertias: Iterable[torch.Tensor]) ->
 def plot_trials(
   columns: Mapping[str, Sequence[Any]], rewards: Sequence[float], logarithmic: set[str], path: Path
 ) -> None:
-  """Plot the rewards of trials over each of their values, one panel for each value."""
-  with _figure(path, 0.8 + 2.6 * len(columns), 3.0) as figure:
-    panels = figure.subplots(1, len(columns), sharey=True, squeeze=False)[0]
-    for panel, (name, values) in zip(panels, columns.items(), strict=True):
-      # Words and switches get a place each.
-      is_number = {type(value) for value in values} <= {int, float}
-      panel.plot(values if is_number else list(map(str, values)), rewards, "o", color=_BLUE)
-      panel.set_xlabel(name)
-      panel.grid()
-      panel.tick_params(axis="x", which="both", rotation=45)
-      if name in logarithmic:
-        panel.set_xscale("log")
-    panels[0].set_ylabel("mean reward")
+  """Plot trials as lines over parallel axes, one for each value and one for the reward, which is also the color."""
+  named = {**columns, "reward": rewards}
+  heights = np.zeros((len(named), len(rewards)))
+  with _figure(path, 1.6 + 1.9 * len(named), 4.6) as figure:
+    panel = figure.subplots()
+    for place, (name, values) in enumerate(named.items()):
+      heights[place], ticks = _heights(values, name in logarithmic)
+      panel.axvline(place, color="black", linewidth=0.8)
+      for label, height in ticks.items():
+        panel.annotate(f" {label}", (place, height), va="center")
+    # The best trial is drawn last.
+    for trial in np.argsort(np.nan_to_num(rewards, nan=-np.inf)):
+      panel.plot(heights[:, trial], color=colormaps["viridis"](heights[-1, trial]), alpha=0.8)
+    panel.set_xticks(range(len(named)), list(named))
+    panel.set_yticks([])
+    panel.set_xlim(-0.1, len(named) - 0.55)
+    panel.spines[:].set_visible(False)
+
+
+def _heights(values: Sequence[Any], is_log: bool) -> tuple[np.ndarray, dict[str, float]]:
+  """Return the heights of values on an axis from 0 to 1, and those of its labels."""
+  if {type(value) for value in values} <= {int, float}:
+    numbers = np.log10(values) if is_log else np.array(values, dtype=float)
+    ticks = np.linspace(np.nanmin(numbers), np.nanmax(numbers), 5)
+    labels = [f"{10**tick if is_log else tick:.3g}" for tick in ticks]
+  else:
+    labels = list(dict.fromkeys(map(str, values)))
+    numbers = np.array([labels.index(str(value)) for value in values], dtype=float)
+    ticks = np.arange(len(labels), dtype=float)
+  span = ticks[-1] - ticks[0] or 1.0
+  return (numbers - ticks[0]) / span, dict(zip(labels, (ticks - ticks[0]) / span, strict=True))
