@@ -78,6 +78,7 @@ WRONG = [
   (f"train {TASK} --device cuda:77", "device 'cuda:77' does not exist"),
   (f"train {TASK} --device gpu", "device 'gpu' does not exist"),
   (f"{TRAIN} --env.actions.torque.actuators hings", "Nearest: hinge"),
+  (f"{TRAIN} --env.sim.engine warp --env.sim.solver pgs", "mjSOL_PGS is unsupported. Its solvers are"),
   (f"{TRAIN} --env.decimation 0", "env.decimation must be at least 1, got 0"),
   (PLAY, "no run of Test-Pendulum with a checkpoint in"),
   *((f"{PLAY} --checkpoint missing.{kind}", "is neither a checkpoint nor a run") for kind in ("pt", "onnx")),

@@ -75,7 +75,7 @@ class RayTargets:
   others: Geoms
   """All other geoms that some ray sees."""
   max_distance: float
-  """How far rays see [m]."""
+  """Range of the rays [m]."""
 
 
 def as_groups(geomgroup: Sequence[bool] | None) -> GeomGroups:

@@ -9,7 +9,7 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from mjlab_core import Contacts, MjlabError, where_
+from mjlab_core import ConfigError, Contacts, MjlabError, where_
 
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.fields import CONSTANTS, owner_of
@@ -60,7 +60,7 @@ class WarpEngine:
     if cfg.capture:
       check_capture(self._wp_device)
     if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4:
-      raise MjlabError(
+      raise ConfigError(
         "integrator RK4 does not allow MuJoCo Warp to split a step around the control; choose 'implicitfast',"
         " 'implicit' or 'euler'"
       )
@@ -100,7 +100,7 @@ class WarpEngine:
       self._m = mjw.put_model(model)
       self._d = mjw.put_data(model, host, nworld=self._num_envs, **sizes)
     except (NotImplementedError, ValueError) as error:
-      raise MjlabError(
+      raise ConfigError(
         f"MuJoCo Warp cannot run this model: {error} Its solvers are 'newton' and 'cg'. Change the option or the model,"
         " or use engine 'native' on a CPU."
       ) from error
