@@ -104,15 +104,14 @@ def test_actions_depend_on_images_and_vectors_of_the_same_world(kind: type[Image
 def test_only_worlds_that_are_done_lose_their_hidden_state(kind: type[ImageModel], rnn_type: str) -> None:
   network = model(kind, rnn_type)
   first, second = observations((3,), 1), observations((3,), 2)
+  outputs = []
   with torch.no_grad():
-    network(first)
-    network.reset(torch.tensor([0, 1, 0]))
-    forgot = network(second)
-    network.reset()
-    blank = network(second)
-    network.reset()
-    network(first)
-    remembered = network(second)
+    for dones in ([0, 1, 0], [1, 1, 1], [0, 0, 0]):
+      network.reset()
+      network(first)
+      network.reset(torch.tensor(dones))
+      outputs.append(network(second))
+  forgot, blank, remembered = outputs
   assert torch.equal(forgot[1], blank[1])
   assert torch.equal(forgot[[0, 2]], remembered[[0, 2]])
   assert (blank - remembered).abs().amin() > 0.0
