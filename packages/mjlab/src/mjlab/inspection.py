@@ -105,14 +105,14 @@ def _snapshot(env: "ManagerBasedRlEnv") -> dict[str, torch.Tensor]:
   return {name: value.detach().clone() for name, value in (found | _tensors(env.scene.state_dict())).items()}
 
 
-def _tensors(state: Any, path: str = "") -> dict[str, torch.Tensor]:
+def _tensors(state: Mapping[str, Any], path: str = "") -> dict[str, torch.Tensor]:
   """Return the tensors of a nested state by their path."""
-  if isinstance(state, torch.Tensor):
-    return {path: state} if state.dim() and state.numel() else {}
-  items = state.items() if isinstance(state, Mapping) else enumerate(state) if isinstance(state, list | tuple) else ()
   found: dict[str, torch.Tensor] = {}
-  for key, value in items:
-    found |= _tensors(value, f"{path}.{key}" if path else str(key))
+  for name, value in state.items():
+    if isinstance(value, Mapping):
+      found |= _tensors(value, f"{path}{name}.")
+    elif isinstance(value, torch.Tensor) and value.dim() and value.numel():
+      found[f"{path}{name}"] = value
   return found
 
 

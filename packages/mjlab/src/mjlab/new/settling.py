@@ -25,6 +25,8 @@ class Home:
   """Configuration."""
   stands: bool
   """True if the robot stays there for `SECONDS`, its servos holding the pose."""
+  end: np.ndarray
+  """Configuration after `SECONDS`."""
   model: mujoco.MjModel
   """Robot on a plane; its names begin with "robot/"."""
 
@@ -40,9 +42,9 @@ def settle(spec: mujoco.MjSpec, actuators: tuple[ActuatorCfg, ...], qpos: np.nda
   Raises:
     MjlabError: The robot diverges.
   """
-  start, settled = _trial(spec, actuators, qpos, 2.0 * MAX_DROP)
+  start = _trial(spec, actuators, qpos, 2.0 * MAX_DROP)
   if start.stands:
-    home, _ = _trial(spec, actuators, _facing_forward(start.model, settled), MAX_DROP)
+    home = _trial(spec, actuators, _facing_forward(start.model, start.end), MAX_DROP)
     if home.stands:
       return home
   start.stands = False
@@ -61,10 +63,8 @@ def exclude_overlaps(robot: RobotModel, qpos: np.ndarray) -> list[tuple[str, str
   return pairs
 
 
-def _trial(
-  spec: mujoco.MjSpec, actuators: tuple[ActuatorCfg, ...], qpos: np.ndarray, max_drop: float
-) -> tuple[Home, np.ndarray]:
-  """Return a configuration on the ground, whether the robot stays in it, and its configuration after `SECONDS`."""
+def _trial(spec: mujoco.MjSpec, actuators: tuple[ActuatorCfg, ...], qpos: np.ndarray, max_drop: float) -> Home:
+  """Try a configuration on the ground for `SECONDS`."""
   keyed = spec.copy()
   keyed.add_key(name="home", qpos=qpos)
   entity = EntityCfg(
@@ -89,7 +89,7 @@ def _trial(
   mujoco.mj_forward(model, data)
   cosine, drop = float(axis @ data.xmat[root].reshape(3, 3)[2]), abs(data.xpos[root, 2] - height)
   stands = cosine > np.cos(np.radians(MAX_TILT)) and drop <= max(max_drop * reach, 1e-6)
-  return Home(qpos=start, stands=bool(stands), model=model), data.qpos.copy()
+  return Home(qpos=start, stands=bool(stands), end=data.qpos.copy(), model=model)
 
 
 def _facing_forward(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
