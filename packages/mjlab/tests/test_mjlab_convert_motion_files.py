@@ -48,7 +48,7 @@ def march(frames: int = 60) -> Motion:
 
 
 def spiked() -> Motion:
-  """A clip with a knee that turns faster than a simulation endures."""
+  """Return a clip whose knee turns too fast for a simulation."""
   motion = march()
   joints = motion.joint_pos.clone()
   joints[30, motion.joint_names.index("left_knee_joint")] += 4.0

@@ -10,22 +10,21 @@ from mjlab_core.errors import FileError
 from mjlab_core.names import check_name
 
 MeshMode = Literal["auto", "never", "require", "download"]
-"""Source of what is drawn: meshes if they are on this machine, primitives, meshes or an error, downloaded meshes."""
+"""Source of drawn geoms: meshes if they are on this machine, primitives, meshes or an error, downloaded meshes."""
 
 
 def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> Path | None:
   """Return the folder with all `files` of a MuJoCo Menagerie robot, or None. Only mode "download" uses the network.
 
-  Looks under the environment variable MENAGERIE_ROOT where that is set, else in the cache of `mujoco_menagerie`.
+  Look below the environment variable MENAGERIE_ROOT if it is set, else in the cache of `mujoco_menagerie`.
 
   Args:
     robot: Name in Menagerie, such as "unitree_go1".
-    files: File names that must all be there.
-    mode: "auto" returns None where a file is missing, "never" without looking.
+    files: Names of all files that are needed.
+    mode: "auto" returns None if a file is missing, "never" always.
 
   Raises:
-    FileError: A file is missing and `mode` is "require", or is "download" and that fails; the message says
-      how to get them.
+    FileError: A file is missing with mode "require", or a download fails; the message names ways to get the files.
     UnknownNameError: `mode` does not exist.
   """
   check_name("mode of meshes", mode, get_args(MeshMode))
@@ -46,7 +45,7 @@ def find_meshes(robot: str, files: Collection[str], mode: MeshMode = "auto") -> 
 def download_meshes(robot: str) -> Path:
   """Fetch a MuJoCo Menagerie robot into the cache of `mujoco_menagerie`, unless it is there.
 
-  A terminal shows a progress bar. Where MENAGERIE_ROOT is set, that folder is taken instead and nothing is fetched.
+  A terminal shows a progress bar. If MENAGERIE_ROOT is set, that folder is used and nothing is fetched.
 
   Args:
     robot: Name in Menagerie, such as "unitree_go1".

@@ -53,7 +53,7 @@ class Robot:
   """Contact presets by name: differences from the contact parameters in the MJCF."""
 
   def spec(self, meshes: MeshMode = "auto") -> mujoco.MjSpec:
-    """Return a new spec without actuators. Physics does not depend on `meshes`, see `find_meshes`.
+    """Return a new spec without actuators. Physics does not depend on `meshes`; see `find_meshes`.
 
     Raises:
       FileError: Meshes are required, or must be downloaded, and cannot be found.
@@ -91,7 +91,7 @@ def _draw_meshes(spec: mujoco.MjSpec, geoms: tuple[MeshGeom, ...], folder: Path)
   for geom in [geom for geom in spec.geoms if geom.group == VISUAL_GROUP]:
     spec.delete(geom)
   for file in sorted({geom.file for geom in geoms}):
-    # Absolute, so that the spec can be attached to any other whatever its mesh folder is.
+    # Absolute, so that the spec can be attached to one with another mesh folder.
     spec.add_mesh(name=Path(file).stem, file=str((folder / file).resolve()))
   visual = spec.find_default("visual")
   for geom in geoms:

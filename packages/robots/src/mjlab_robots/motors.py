@@ -8,9 +8,9 @@ from mjlab_actuators import ActuatorCfg, NativePositionActuatorCfg, PdGains, gai
 NATURAL_FREQUENCY = 10.0
 """Natural frequency of a servo that moves only its own reflected rotor [Hz]."""
 DAMPING_RATIO = 2.0
-"""Overdamped: the limb's own inertia, which the gains leave out, lowers the ratio."""
+"""Damping ratio of a servo; the inertia of the limb, which the gains leave out, lowers it."""
 ACTION_EFFORT_SHARE = 0.25
-"""Share of the effort limit that action 1 asks for from rest."""
+"""Share of the effort limit that action 1 requests from rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +22,7 @@ class Motor:
   effort_limit: float
   """Largest joint torque [N m]."""
   velocity_limit: float
-  """Top joint speed [rad/s]; for policy bundles, the servo does not know it."""
+  """Top joint speed [rad/s], for policy bundles; the servo does not limit it."""
   servo_inertia: float | None = None
   """Inertia J that the servo is made for [kg m^2]; None for the armature alone."""
   servo_frequency: float = NATURAL_FREQUENCY

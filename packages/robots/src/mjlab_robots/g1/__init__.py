@@ -1,4 +1,4 @@
-"""Unitree G1: a 33.3 kg humanoid with 29 actuated joints: motors, pose, contact presets and meshes."""
+"""Unitree G1, a 33.3 kg humanoid with 29 actuated joints: motors, pose, contact presets and meshes."""
 
 from typing import Literal
 
@@ -146,5 +146,5 @@ def g1_spec(meshes: MeshMode = "auto") -> mujoco.MjSpec:
 
 
 def g1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> EntityCfg:
-  """Return a new config of the G1; contact preset "full" is what the MJCF says. See `Robot.entity`."""
+  """Return a new config of the G1; contact preset "full" is that of the MJCF. See `Robot.entity`."""
   return _G1.entity(g1_spec, meshes, collision)

@@ -1,4 +1,4 @@
-"""Unitree Go1: a 12.7 kg quadruped with 12 actuated joints: motors, pose, contact presets and meshes."""
+"""Unitree Go1, a 12.7 kg quadruped with 12 actuated joints: motors, pose, contact presets and meshes."""
 
 from typing import Literal
 
@@ -102,5 +102,5 @@ def go1_spec(meshes: MeshMode = "auto") -> mujoco.MjSpec:
 
 
 def go1(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> EntityCfg:
-  """Return a new config of the Go1; contact preset "full" is what the MJCF says. See `Robot.entity`."""
+  """Return a new config of the Go1; contact preset "full" is that of the MJCF. See `Robot.entity`."""
   return _GO1.entity(go1_spec, meshes, collision)

@@ -1,4 +1,4 @@
-"""Unitree Go2: a 15.2 kg quadruped with 12 actuated joints: motors, pose, contact presets and meshes."""
+"""Unitree Go2, a 15.2 kg quadruped with 12 actuated joints: motors, pose, contact presets and meshes."""
 
 from dataclasses import replace
 from typing import Literal
@@ -105,5 +105,5 @@ def go2_spec(meshes: MeshMode = "auto") -> mujoco.MjSpec:
 
 
 def go2(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> EntityCfg:
-  """Return a new config of the Go2; contact preset "full" is what the MJCF says. See `Robot.entity`."""
+  """Return a new config of the Go2; contact preset "full" is that of the MJCF. See `Robot.entity`."""
   return _GO2.entity(go2_spec, meshes, collision)

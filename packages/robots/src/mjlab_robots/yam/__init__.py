@@ -1,4 +1,4 @@
-"""I2RT YAM: a 4 kg arm of six joints with a parallel gripper: motors, pose, contact presets and meshes."""
+"""I2RT YAM, a 4 kg arm of six joints with a parallel gripper: motors, pose, contact presets and meshes."""
 
 from typing import Literal
 
@@ -139,5 +139,5 @@ def yam_spec(meshes: MeshMode = "auto") -> mujoco.MjSpec:
 
 
 def yam(*, meshes: MeshMode = "auto", collision: CollisionPreset = "full") -> EntityCfg:
-  """Return a new config of the YAM; contact preset "full" is what the MJCF says. See `Robot.entity`."""
+  """Return a new config of the YAM; contact preset "full" is that of the MJCF. See `Robot.entity`."""
   return _YAM.entity(yam_spec, meshes, collision)
