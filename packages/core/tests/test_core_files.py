@@ -14,33 +14,25 @@ def _names(folder: Path) -> list[str]:
   return sorted(path.name for path in folder.iterdir())
 
 
-def test_a_file_replaces_its_target_only_when_it_is_whole(tmp_path: Path) -> None:
+@pytest.mark.parametrize("inside", ["", "assets"], ids=["file", "folder"])
+def test_a_target_is_replaced_only_when_the_new_one_is_whole(inside: str, tmp_path: Path) -> None:
   target = tmp_path / "new" / "model.pt"
-  with AtomicWrite(target) as temporary:
-    assert temporary.parent == target.parent
-    assert temporary.suffix == target.suffix
-    temporary.write_text("first")
-    assert not target.exists()
-  write = AtomicWrite(target)
-  write.temporary.write_text("half")
-  with pytest.raises(ZeroDivisionError), write:
-    _ = 1 / 0
-  assert target.read_text() == "first"
-  assert _names(target.parent) == ["model.pt"]
 
+  def write(place: Path, text: str) -> None:
+    (place / inside).parent.mkdir(parents=True, exist_ok=True)
+    (place / inside).write_text(text)
 
-def test_a_folder_replaces_its_target_only_when_it_is_whole(tmp_path: Path) -> None:
-  target = tmp_path / "scene"
   for content in ("first", "second"):
     with AtomicWrite(target) as temporary:
-      (temporary / "assets").mkdir(parents=True)
-      (temporary / "assets" / "mesh.obj").write_text(content)
-  write = AtomicWrite(target)
-  write.temporary.mkdir()
-  with pytest.raises(ZeroDivisionError), write:
+      assert (temporary.parent, temporary.suffix) == (target.parent, target.suffix)
+      write(temporary, content)
+      assert content == "second" or not target.exists()
+  half = AtomicWrite(target)
+  write(half.temporary, "half")
+  with pytest.raises(ZeroDivisionError), half:
     _ = 1 / 0
-  assert (target / "assets" / "mesh.obj").read_text() == "second"
-  assert _names(tmp_path) == ["scene"]
+  assert (target / inside).read_text() == "second"
+  assert _names(target.parent) == ["model.pt"]
 
 
 def test_data_and_name_are_synced_before_and_after_the_rename(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

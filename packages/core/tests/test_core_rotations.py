@@ -199,3 +199,17 @@ def test_leading_dimensions_broadcast(dtype: torch.dtype) -> None:
   assert core.quat_apply(q, v).shape == (4, 5, 3)
   assert core.quat_mul(q, q.mT.reshape(1, 4, 4)[..., :4]).shape == (4, 4, 4)
   assert core.quat_apply(q, v[0, 0]).shape == (4, 1, 3)
+
+
+def test_frames_multiply_as_matrices_and_subtracting_undoes_combining() -> None:
+  dtype = torch.float64
+  wa, ab = ((vectors((6,), dtype) * scale, quat) for scale, quat in zip((1.0, -2.0), draw((6,), dtype, 2), strict=True))
+
+  def homogeneous(pos: torch.Tensor, quat: torch.Tensor) -> torch.Tensor:
+    matrix = torch.eye(4, dtype=dtype).repeat(6, 1, 1)
+    matrix[:, :3, :3], matrix[:, :3, 3] = core.matrix_from_quat(quat), pos
+    return matrix
+
+  wb = core.combine_frames(*wa, *ab)
+  torch.testing.assert_close(homogeneous(*wb), homogeneous(*wa) @ homogeneous(*ab))
+  torch.testing.assert_close(core.subtract_frames(*wa, *wb), ab)

@@ -56,6 +56,7 @@ XML = """
   </worldbody>
 </mujoco>"""
 N = 6
+ALL = torch.ones(N, dtype=torch.bool)
 
 
 class FakeSim:
@@ -132,27 +133,26 @@ def test_repeats_start_from_the_present_default_of_each_world(sim: FakeSim, patt
   sim.own = {"geom_friction": sim.default_field("geom_friction").repeat(N, 1, 1)}
   term = bound(geom_friction(pattern, (2.0, 2.5), operation="scale"), sim)
   sim.own["geom_friction"] *= torch.arange(1.0, N + 1)[:, None, None]
-  term.apply(torch.ones(N, dtype=torch.bool))
+  term.apply(ALL)
   factor = term.values() / torch.arange(1.0, N + 1)[:, None]
   assert ((factor >= 2.0) & (factor <= 2.5)).all()
   torch.testing.assert_close(term.default[:, 0], torch.arange(1.0, N + 1, dtype=torch.float64))
 
 
 def test_derived_fields_are_recomputed_once_for_all_and_only_where_needed(sim: FakeSim) -> None:
-  mask = torch.ones(N, dtype=torch.bool)
   friction, com = bound(CFGS[0], sim), bound(CFGS[3], sim)
-  friction.apply(mask)
+  friction.apply(ALL)
   assert sim.recomputed == []
-  com.apply(mask)
+  com.apply(ALL)
   assert len(sim.recomputed) == 1
-  apply_all([friction, com, bound(body_com_offset("a/leg", (0.0, 0.1)), sim)], sim, mask)
+  apply_all([friction, com, bound(body_com_offset("a/leg", (0.0, 0.1)), sim)], sim, ALL)
   assert len(sim.recomputed) == 2
-  assert sim.recomputed[-1] is mask
+  assert sim.recomputed[-1] is ALL
 
 
 def test_an_entity_gives_its_own_names_and_ids(sim: FakeSim) -> None:
   term = RandomizeField(geom_friction("f2|f3", (0.3, 0.4)), sim, elements={"f3": 4, "f2": 2}, owner="event 'foot'")
-  term.apply(torch.ones(N, dtype=torch.bool))
+  term.apply(ALL)
   touched = (sim.model.geom_friction != sim.default_field("geom_friction")).nonzero()[:, 1].unique()
   assert touched.tolist() == [2, 4]
   with pytest.raises(ValueError, match="event 'foot': geom_friction: pattern 'f9' matches no geom"):
@@ -170,7 +170,7 @@ def test_a_field_outside_of_the_model_is_written_to_its_target(sim: FakeSim) -> 
 def test_a_field_replaced_after_construction_is_still_the_one_written(sim: FakeSim) -> None:
   term = bound(CFGS[0], sim)
   sim.model.geom_friction = sim.model.geom_friction.clone()
-  term.apply(torch.ones(N, dtype=torch.bool))
+  term.apply(ALL)
   assert (sim.model.geom_friction[:, 1, 0] != 1.0).all()
 
 
@@ -189,7 +189,7 @@ def test_apply_writes_masked_worlds_in_place_without_a_sync_and_draws_alike_what
   mask = torch.tensor([True, False, True, True, False, False])
   with NoSync():
     terms[0].apply(mask)
-  terms[1].apply(torch.ones(N, dtype=torch.bool))
+  terms[1].apply(ALL)
   assert [getattr(sims[0].model, field).data_ptr() for field in names] == addresses
   values, default = terms[0].values(), terms[0].default
   assert torch.equal(values[mask], terms[1].values()[mask])
@@ -212,7 +212,7 @@ def test_worlds_with_different_defaults_start_from_theirs() -> None:
   terms = [bound(pseudo_inertia("thigh", alpha=(0.1, 0.1)), sim), bound(geom_friction("shin", (0.1, 0.2)), sim)]
   terms.append(bound(randomize_field("geom_friction", "thigh", (2.0, 2.0), axes=(0,), operation="scale"), sim))
   for term in terms:
-    term.apply(torch.ones(N, dtype=torch.bool))
+    term.apply(ALL)
   thigh = sim.mj_model.body("thigh").id
   gain = torch.tensor(0.2, dtype=torch.float64).exp()
   for name in ("body_mass", "body_inertia"):
@@ -225,14 +225,13 @@ def test_worlds_with_different_defaults_start_from_theirs() -> None:
 
 
 def test_strength_takes_every_kind_of_field_from_its_default_to_the_draw() -> None:
-  everyone = torch.ones(N, dtype=torch.bool)
   for name in ("geom_friction", "qpos0", "jnt_axis", "cam_intrinsic", "body_pos", "pseudo_inertia", "opt.gravity"):
     results = []
     for strength in (0.0, 0.5, 1.0, None):
       term = bound(trial(name), FakeSim(EVERYTHING))
       if strength is not None:
         term.strength.fill_(strength)
-      term.apply(everyone)
+      term.apply(ALL)
       results.append(term.values() - term.default)
     nothing, half, full, plain = results
     # The compiler took the field of view from intrinsics before it rounded them to single precision.
@@ -251,7 +250,7 @@ def test_strength_of_a_rotation_is_the_share_of_its_angles() -> None:
   for sim, strength in zip(sims, (1.0, 0.25), strict=True):
     term = bound(randomize_field("cam_quat", "eye", {"yaw": (0.5, 1.0)}), sim)
     term.strength.fill_(strength)
-    term.apply(torch.ones(N, dtype=torch.bool))
+    term.apply(ALL)
     angles.append(quat_error_magnitude(sim.model.cam_quat[:, 0], sim.default_field("cam_quat")[:, 0]))
   torch.testing.assert_close(angles[1], 0.25 * angles[0])
 
@@ -263,7 +262,7 @@ def test_a_choice_has_no_strength() -> None:
 
 def test_a_rotation_turns_about_the_axes_of_the_parent() -> None:
   sim = FakeSim(EVERYTHING)
-  bound(randomize_field("body_quat", "shin", {"yaw": (0.3, 0.3)}), sim).apply(torch.ones(N, dtype=torch.bool))
+  bound(randomize_field("body_quat", "shin", {"yaw": (0.3, 0.3)}), sim).apply(ALL)
   shin = sim.mj_model.body("shin").id
   before, after = (matrix_from_quat(x[:, shin]) for x in (sim.default_field("body_quat"), sim.model.body_quat))
   cos, sin = torch.tensor(0.3).cos(), torch.tensor(0.3).sin()
@@ -272,9 +271,8 @@ def test_a_rotation_turns_about_the_axes_of_the_parent() -> None:
 
 
 def test_some_axes_in_any_order_leave_the_others_as_they_are() -> None:
-  everyone = torch.ones(N, dtype=torch.bool)
   sim = FakeSim(EVERYTHING)
-  bound(randomize_field("cam_quat", "eye", {"yaw": (0.3, 0.3), "roll": (0.1, 0.1)}), sim).apply(everyone)
+  bound(randomize_field("cam_quat", "eye", {"yaw": (0.3, 0.3), "roll": (0.1, 0.1)}), sim).apply(ALL)
   eye = sim.mj_model.camera("eye").id
   turn = quat_mul(sim.model.cam_quat[:, eye], quat_conjugate(sim.default_field("cam_quat")[:, eye]).expand(N, -1))
   for found, angle in zip(euler_xyz_from_quat(turn), (0.1, 0.0, 0.3), strict=True):
@@ -284,7 +282,7 @@ def test_some_axes_in_any_order_leave_the_others_as_they_are() -> None:
   absolute = randomize_field("cam_intrinsic", "lens", {"fy": (0.004, 0.004)}, operation="absolute")
   scale = randomize_field("cam_intrinsic", "lens", {"fy": (1.5, 1.5)}, operation="scale")
   for cfg, expected in ((absolute, 0.004), (scale, 1.5 * focal)):
-    bound(cfg, sim).apply(everyone)
+    bound(cfg, sim).apply(ALL)
     torch.testing.assert_close(sim.model.cam_intrinsic[:, lens, 1], torch.full((N,), expected))
     others = [0, 2, 3]
     assert torch.equal(sim.model.cam_intrinsic[:, lens, others], default[:, lens, others].expand(N, -1))
@@ -292,7 +290,7 @@ def test_some_axes_in_any_order_leave_the_others_as_they_are() -> None:
 
 def test_degrees_of_freedom_of_a_joint_share_a_draw_and_other_joints_keep_their_addresses() -> None:
   sim = FakeSim(EVERYTHING)
-  bound(randomize_field("dof_damping", ("shoulder", "crank"), (1.0, 2.0)), sim).apply(torch.ones(N, dtype=torch.bool))
+  bound(randomize_field("dof_damping", ("shoulder", "crank"), (1.0, 2.0)), sim).apply(ALL)
   damping, model = sim.model.dof_damping, sim.mj_model
   ball = [int(model.joint("shoulder").dofadr[0]) + i for i in range(3)]
   crank = int(model.joint("crank").dofadr[0])
@@ -305,7 +303,7 @@ def test_degrees_of_freedom_of_a_joint_share_a_draw_and_other_joints_keep_their_
 
 def test_the_zero_of_a_joint_takes_its_spring_along() -> None:
   sim = FakeSim(EVERYTHING)
-  bound(randomize_field("qpos0", "hip|slide", (-0.1, 0.1)), sim).apply(torch.ones(N, dtype=torch.bool))
+  bound(randomize_field("qpos0", "hip|slide", (-0.1, 0.1)), sim).apply(ALL)
   shift = sim.model.qpos0 - sim.default_field("qpos0")
   assert (shift != 0.0).any(0).sum() == 2
   torch.testing.assert_close(sim.model.qpos_spring - sim.default_field("qpos_spring"), shift)
@@ -314,7 +312,7 @@ def test_the_zero_of_a_joint_takes_its_spring_along() -> None:
 def test_one_actuator_is_changed_when_one_is_asked_for() -> None:
   sim = FakeSim(EVERYTHING)
   values = {"0": (20.0, 40.0)}
-  bound(randomize_field("actuator_gainprm", "hip", values), sim).apply(torch.ones(N, dtype=torch.bool))
+  bound(randomize_field("actuator_gainprm", "hip", values), sim).apply(ALL)
   changed = (sim.model.actuator_gainprm != sim.default_field("actuator_gainprm")).any(0).nonzero()
   assert changed.tolist() == [[sim.mj_model.actuator("hip").id, 0]]
 
@@ -322,7 +320,7 @@ def test_one_actuator_is_changed_when_one_is_asked_for() -> None:
 def test_isotropic_means_one_draw_for_all_axes_of_an_element() -> None:
   sim = FakeSim(EVERYTHING)
   cfg = randomize_field("geom_size", "trunk|arm", (0.5, 1.5), isotropic=True)
-  bound(cfg, sim).apply(torch.ones(N, dtype=torch.bool))
+  bound(cfg, sim).apply(ALL)
   for name in ("trunk", "arm"):
     geom = sim.mj_model.geom(name).id
     factor = sim.model.geom_size[:, geom] / sim.default_field("geom_size")[:, geom]
@@ -334,7 +332,7 @@ def test_one_element_takes_the_first_of_the_axes_where_the_others_would_do_nothi
   field = RandomizeField(randomize_field("geom_friction", "a/f1", (0.5, 0.6)), sim, generator=make_generator("cpu", 0))
   assert [component.axis for component in field.components] == ["sliding", "torsional"]
   before = sim.model.geom_friction.clone()
-  field.apply(torch.ones(N, dtype=torch.bool))
+  field.apply(ALL)
   drawn = sim.model.geom_friction[:, sim.mj_model.geom("a/f1").id]
   assert ((drawn[:, :2] > 0.5) & (drawn[:, :2] < 0.6)).all()
   assert int((sim.model.geom_friction != before).sum()) == 2 * N
@@ -345,7 +343,7 @@ def test_gaussian_draws_differ_between_worlds_for_rotations_and_inertia_too() ->
   turn = randomize_field("cam_quat", "eye", (0.0, 0.1), distribution="gaussian")
   mass = pseudo_inertia("thigh|shin", alpha=(0.0, 0.1), distribution="gaussian")
   for cfg in (turn, mass):
-    bound(cfg, sim).apply(torch.ones(N, dtype=torch.bool))
+    bound(cfg, sim).apply(ALL)
   assert sim.model.cam_quat[:, 0].unique(dim=0).shape[0] == N
   moving = [sim.mj_model.body(name).id for name in ("thigh", "shin")]
   assert sim.model.body_mass[:, moving].unique().numel() == 2 * N
@@ -356,7 +354,7 @@ def test_draws_of_a_custom_function_are_clamped_to_its_bounds() -> None:
     return 2.0 * torch.rand(tuple(shape), generator=generator, device=device, dtype=dtype).sin()
 
   sim = FakeSim(EVERYTHING)
-  bound(randomize_field("geom_friction", "shin", Custom(waves, 0.2, 1.1), axes=(0,)), sim).apply(torch.ones(N).bool())
+  bound(randomize_field("geom_friction", "shin", Custom(waves, 0.2, 1.1), axes=(0,)), sim).apply(ALL)
   friction = sim.model.geom_friction[:, sim.mj_model.geom("shin").id, 0]
   assert friction.unique().numel() > 1
   assert ((friction >= 0.2) & (friction <= 1.1)).all()
@@ -366,7 +364,7 @@ def test_choices_are_given_by_name_and_an_entity_may_leave_its_prefix_out() -> N
   xml = EVERYTHING.replace('"dull"', '"a/dull"').replace('"shiny"', '"a/shiny"')
   sim = FakeSim(xml)
   cfg = randomize_field("geom_matid", "post", Categorical(("dull",)))
-  RandomizeField(cfg, sim, prefix="a/").apply(torch.ones(N, dtype=torch.bool))
+  RandomizeField(cfg, sim, prefix="a/").apply(ALL)
   assert (sim.model.geom_matid[:, sim.mj_model.geom("post").id] == sim.mj_model.material("a/dull").id).all()
 
 
@@ -376,7 +374,7 @@ def test_draws_are_computed_from_written_values(name: str) -> None:
   seen: list[torch.Tensor] = []
   sample = term._sample
   term._sample = lambda shape, generator: seen.append(sample(shape, generator)) or seen[0]
-  term.apply(torch.ones(N, dtype=torch.bool))
+  term.apply(ALL)
   found = torch.stack(list(drawn_values(term).values()), -1)
   seen[0] = seen[0].expand_as(found)
   known = found.isfinite()
@@ -389,7 +387,7 @@ def test_choices_by_name_are_compared_as_ids() -> None:
   cfg = randomize_field("mat_texid", "dull", {"rgb": Categorical(("steel", "wood"), (3.0, 1.0))})
   sim = FakeSim(EVERYTHING)
   term = bound(cfg, sim)
-  term.apply(torch.ones(N, dtype=torch.bool))
+  term.apply(ALL)
   (drawn,), (asked,) = drawn_values(term).values(), term.distributions.values()
   assert asked == Categorical((sim.mj_model.texture("steel").id, sim.mj_model.texture("wood").id), (3.0, 1.0))
   assert agreement(drawn, asked) > 0.01

@@ -151,3 +151,37 @@ def test_normals_point_from_primary_to_secondary_and_contacts_lie_between(boxes:
     torch.testing.assert_close(
       place[primary, secondary, :, 2], torch.full((4,), z, dtype=place.dtype), atol=4e-3, rtol=0
     )
+
+
+SLOPE = """
+<mujoco>
+  <option cone="elliptic"/>
+  <worldbody>
+    <geom name="slope" type="plane" size="0 0 1" euler="0 20 0"/>
+    <body name="box" pos="0 0 0.11" euler="0 20 0"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="2"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("engine", ["native", pytest.param("warp", marks=pytest.mark.warp)])
+def test_contact_forces_in_the_world_frame_carry_the_weight(engine: str) -> None:
+  on: Any = {
+    "primary": ContactMatch(mode="body", pattern="box"),
+    "secondary": ContactMatch(mode="geom", pattern="slope"),
+  }
+  cfgs = (
+    ContactSensorCfg(name="local", num_slots=4, **on),
+    ContactSensorCfg(name="world", num_slots=4, global_frame=True, history_length=2, **on),
+    ContactSensorCfg(name="whole", reduce="netforce", **on),
+  )
+  world = World(mujoco.MjSpec.from_string(SLOPE), *cfgs, engine=engine)
+  world.step(300)
+  local, data, whole = (world.sensors[cfg.name].data for cfg in cfgs)
+  assert data.normal is None
+  total = data.force.sum(1).double()
+  # The box rests on the slope: its force on the ground is its weight, though normals are tilted.
+  torch.testing.assert_close(total, torch.tensor([[0.0, 0.0, -2.0 * GRAVITY]] * 2).double(), atol=0.05, rtol=0.0)
+  torch.testing.assert_close(total, whole.force[:, 0].double(), atol=1e-3, rtol=0.0)
+  torch.testing.assert_close(local.force.norm(dim=-1), data.force.norm(dim=-1), rtol=1e-4, atol=1e-5)
+  torch.testing.assert_close(data.force_history[:, :, 0], data.force)

@@ -84,6 +84,7 @@ def frame_turn(rotation: np.ndarray, alignment: str) -> np.ndarray:
   "pattern",
   [
     GridPatternCfg(size=(0.8, 0.4), resolution=0.2),
+    GridPatternCfg(size=(0.4, 0.2), resolution=0.1, direction="forward"),
     RingPatternCfg(radius=0.3, num_samples=7),
     PinholeCameraPatternCfg(),
     LidarPatternCfg(rows=6, columns=12, vertical_fov=(-70.0, 20.0)),

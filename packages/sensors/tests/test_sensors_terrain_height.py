@@ -226,6 +226,9 @@ def test_a_grid_is_centred_and_counts_its_ends() -> None:
   uneven, _ = GridPatternCfg(size=(1.0, 0.0), resolution=0.3).rays()
   np.testing.assert_allclose(uneven[:, 0], (-0.45, -0.15, 0.15, 0.45))
   assert (uneven[:, 1] == 0).all()
+  starts, directions = GridPatternCfg(size=(0.4, 0.2), resolution=0.2, direction="forward").rays()
+  np.testing.assert_allclose(starts, [[0, y, z] for z in (-0.1, 0.1) for y in (-0.2, 0.0, 0.2)], atol=1e-12)
+  assert (directions == (1.0, 0.0, 0.0)).all()
 
 
 def test_a_ring_is_round_and_may_have_a_centre() -> None:
