@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from envs_hopper import Make, actions, hopper_cfg
+from envs_hopper import HOPPER, Make, actions, hopper_cfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
 from mjlab_managers import (
@@ -38,15 +38,10 @@ def test_only_power_that_actuators_put_in_counts(make: Make) -> None:
   assert {-1.0, 1.0} <= signs
 
 
-def tilted_imu() -> mujoco.MjSpec:
-  from envs_hopper import HOPPER
-
-  return mujoco.MjSpec.from_string(HOPPER.replace('<site name="imu"/>', '<site name="imu" euler="0.3 0.4 0.5"/>'))
-
-
 def test_gravity_is_seen_in_the_axes_of_the_sensor(make: Make, engine: str) -> None:
   cfg = hopper_cfg(engine=engine)
-  cfg.scene.entities["robot"].spec_fn = tilted_imu
+  tilted = HOPPER.replace('<site name="imu"/>', '<site name="imu" euler="0.3 0.4 0.5"/>')
+  cfg.scene.entities["robot"].spec_fn = lambda: mujoco.MjSpec.from_string(tilted)
   site = ObjRef(type="site", name="imu", entity="robot")
   cfg.scene.sensors["up"] = BuiltinSensorCfg(sensor_type="framezaxis", obj=ObjRef(type="xbody", name="world"), ref=site)
   cfg.scene.sensors["imu"] = ImuSensorCfg(site=site)
@@ -82,11 +77,6 @@ def test_any_contact_counts_without_a_threshold_and_without_a_history(make: Make
       break
     ended = env.step(torch.zeros(4, 2))[2]
   assert not ended[:2].any()
-  cfg.terminations["touch"].params["threshold"] = 1.0
-  with pytest.raises(
-    ConfigError, match="has no history; set history_length=1 or more in its config, or threshold=None"
-  ):
-    make(cfg)
 
 
 def rough_cfg(patches: str = "feet") -> Any:

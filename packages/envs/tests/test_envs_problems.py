@@ -1,4 +1,4 @@
-"""The class of mistakes that came one at a time: a config with mistakes in several rooms needed one build for each."""
+"""Mistakes in several parts of a config, which one build reports together."""
 
 from dataclasses import replace
 from typing import Any
@@ -34,7 +34,7 @@ def not_made(env: Any, mask: torch.Tensor) -> None:
   raise AttributeError("no such quantity")
 
 
-def test_mistakes_in_twelve_rooms_come_in_one_error(make: Make) -> None:
+def test_mistakes_in_twelve_parts_come_in_one_error(make: Make) -> None:
   cfg = hopper_cfg(episode_length_s=-1.0)
   cfg.scene.entities["box"] = EntityCfg(spec_fn=unreadable)
   cfg.scene.sensors["feet"] = ContactSensorCfg(primary=ContactMatch(mode="geom", pattern="foott", entity="robot"))
@@ -50,7 +50,7 @@ def test_mistakes_in_twelve_rooms_come_in_one_error(make: Make) -> None:
   median: Any = "median"
   cfg.metrics["jerk"] = MetricsTermCfg(mdp.mean_action_acc, reduce=median)
   cfg.recorders["rec"] = RecorderTermCfg(print)
-  # Consequences of these, which are not said beside them.
+  # Consequences of these, which are left out.
   cfg.observations["critic"].terms["box"] = ObservationTermCfg(
     mdp.base_lin_vel, params={"asset": SceneEntityCfg("box")}
   )
@@ -83,15 +83,11 @@ def test_where_no_world_can_be_made_configs_of_terms_are_checked_by_themselves(m
   cfg.curriculum["c"] = CurriculumTermCfg(not_made, params={"speed": 1.0})
   with pytest.raises(ConfigError) as caught:
     make(cfg)
-  assert [line.split(":")[0] for line in caught.value.problems] == [
-    "env",
-    "RewardManager",
-    "RewardManager",
-    "CurriculumManager",
-  ]
+  owners = [line.split(":")[0] for line in caught.value.problems]
+  assert owners == ["env", "RewardManager", "RewardManager", "CurriculumManager"]
 
 
-def test_a_mistake_in_an_entity_is_said_without_what_follows_from_it(make: Make) -> None:
+def test_a_mistake_in_an_entity_is_reported_without_its_consequences(make: Make) -> None:
   cfg = hopper_cfg()
   cfg.scene.entities["robot"] = replace(hopper(), spec_fn=unreadable)
   cfg.scene.sensors["gyro"] = BuiltinSensorCfg(element="robot/gyro")
@@ -116,7 +112,7 @@ def test_contacts_without_a_history_are_named_at_build(make: Make) -> None:
   cfg.metrics["count"] = MetricsTermCfg(mdp.contact_count, params={"sensor": "feet"})
   with pytest.raises(ConfigError) as caught:
     make(cfg)
-  without = "contact sensor 'feet' has no history; set history_length=1"
+  without = "contact sensor 'feet' has no history; set history_length=1 or more in its config, or threshold=None"
   assert [problem.count(without) for problem in caught.value.problems] == [1, 1]
   assert all(f"term '{name}'" in str(caught.value) for name in ("ended", "count"))
 

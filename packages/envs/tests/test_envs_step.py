@@ -1,7 +1,8 @@
-"""What a step promises."""
+"""Promises of a step."""
 
 import logging
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 import torch
@@ -52,15 +53,12 @@ def test_an_environment_has_its_own_rate_and_episodes_round_up_to_whole_steps(
 
 def test_a_push_is_in_the_same_steps_observation_and_not_in_its_reward(make: Make) -> None:
   cfg = quiet()
-  calm = make(cfg)
   params = {"velocity_range": {"x": (10.0, 10.0)}}
   cfg.events["push"] = EventTermCfg(
     mdp.push_by_setting_velocity, mode="interval", interval_range_s=(0.05, 0.05), params=params
   )
-  cfg.commands, cfg.rewards = (
-    {},
-    {"speed": RewardTermCfg(lambda env: env.scene["robot"].data.root_link_lin_vel_w[:, 0], weight=1.0)},
-  )
+  speed = RewardTermCfg(lambda env: env.scene["robot"].data.root_link_lin_vel_w[:, 0], weight=1.0)
+  cfg.commands, cfg.rewards = {}, {"speed": speed}
   cfg.observations["actor"].terms["command"] = None
   pushed = make(cfg)
   cfg.events["push"] = None
@@ -328,19 +326,25 @@ def test_a_step_that_nothing_happens_in_computes_kinematics_never(make: Make, mo
 # Code that cannot be recorded
 
 
-@pytest.mark.usefixtures("nothing_skipped")
-def test_an_event_that_takes_world_numbers_works_and_is_named_once(
-  make: Make, caplog: pytest.LogCaptureFixture, monkeypatch
-) -> None:
+def noting(make: Make, device: str = "cpu", **options: Any) -> tuple[Any, list[list[int]]]:
+  """Return an environment with an event that notes the numbers of the worlds that reset, and these notes."""
   seen: list[list[int]] = []
 
   def note(env: ManagerBasedRlEnv, env_ids: torch.Tensor) -> None:
     seen.append(env_ids.tolist())
 
-  cfg = hopper_cfg()
+  cfg = hopper_cfg(**options)
   cfg.events["note"] = EventTermCfg(note, mode="reset")
-  env = make(cfg)
+  env = make(cfg, device)
   seen.clear()
+  return env, seen
+
+
+@pytest.mark.usefixtures("nothing_skipped")
+def test_an_event_that_takes_world_numbers_works_and_is_named_once(
+  make: Make, caplog: pytest.LogCaptureFixture, monkeypatch
+) -> None:
+  env, seen = noting(make)
   env.reset()
   assert seen == [[0, 1, 2, 3]]
   env.step(actions(env, 0))
@@ -411,15 +415,7 @@ def test_recorded_steps_follow_eager_ones_on_a_gpu(make: Make) -> None:
 def test_an_event_that_takes_world_numbers_splits_the_recording_on_a_gpu(
   make: Make, caplog: pytest.LogCaptureFixture
 ) -> None:
-  seen: list[list[int]] = []
-
-  def note(env: ManagerBasedRlEnv, env_ids: torch.Tensor) -> None:
-    seen.append(env_ids.tolist())
-
-  cfg = hopper_cfg(engine="auto")
-  cfg.events["note"] = EventTermCfg(note, mode="reset")
-  env = make(cfg, "cuda")
-  seen.clear()
+  env, seen = noting(make, "cuda", engine="auto")
   for step in range(8):
     end(env, step % 4)
     env.step(actions(env, step))

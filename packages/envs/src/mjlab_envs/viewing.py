@@ -38,10 +38,9 @@ class ViewableEnv(ManagerBasedEnv):
       if isinstance(value, dict):
         found |= {f"{group}/{term}": _columns(f"{group}/{term}", tensor) for term, tensor in value.items()}
       elif value.dim() == 2:
-        shapes = zip(manager.active_terms[group], manager.group_obs_term_dim[group], strict=True)
-        names = [name for term, shape in shapes for name in _numbered(term, math.prod(shape))]
-        # Terms that are joined along another axis than the last have no names for columns.
-        found[f"observations {group}"] = (names, value) if len(names) == value.shape[1] else _columns(group, value)
+        terms = manager.layout(group)
+        names = [name for term in terms for name in _numbered(term.name, math.prod(term.shape))]
+        found[f"observations {group}"] = names, value
     return found
 
   def drawers(self) -> dict[str, Callable[[DebugDraw], None]]:
