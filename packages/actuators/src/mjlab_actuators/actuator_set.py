@@ -10,7 +10,7 @@ import mujoco
 import torch
 from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_index, as_slice, select
 
-from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column
+from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission, targets_of, targets_of_actuators
@@ -108,16 +108,11 @@ class ActuatorSet(Stateful):
     self.site_outputs = tuple(
       int(model.actuator_outadr[elements[Target("site", name)]]) for name in self.driven("site")
     )
-    place = as_slice(self.ctrl_ids)
-    self._scatter: tuple[torch.Tensor, torch.Tensor] | None = None
-    if ctrl is not None and place is not None:
-      self.ctrl = ctrl[:, place]
-    else:
-      self.ctrl = torch.zeros(num_envs, len(self.ctrl_ids), device=device, dtype=dtype)
-      if ctrl is not None:
-        self._scatter = (ctrl, torch.tensor(self.ctrl_ids, device=device))
+    self._all_ctrl = torch.zeros(num_envs, model.nu, device=device, dtype=dtype) if ctrl is None else ctrl
+    self._index = as_index(self.ctrl_ids, self._all_ctrl.device)
+    self.ctrl = select(self._all_ctrl, self._index)
     self._routes = [
-      _Route(group, columns, self.targets, self.ctrl_ids, self.ctrl, generator) for group, columns in groups.items()
+      _Route(group, columns, self.targets, self._all_ctrl, generator) for group, columns in groups.items()
     ]
     self.groups = tuple(route.actuator for route in self._routes)
     self._laws = StatefulDict({str(index): actuator for index, actuator in enumerate(self.groups)})
@@ -136,18 +131,11 @@ class ActuatorSet(Stateful):
 
     Call it exactly once a substep: it advances delays. All arguments are (num_envs, len(targets)).
     """
-    targets = (position_target, velocity_target, effort_target)
-    cmd: ActuatorCmd | None = None
+    cmd = ActuatorCmd(position_target, velocity_target, effort_target, position, velocity)
     for route in self._routes:
-      if route.gather is None:
-        cmd = ActuatorCmd(*targets, position, velocity) if cmd is None else cmd
-        route.run(cmd)
-      else:
-        field, index, into = route.gather
-        torch.index_select(targets[field], 1, index, out=into)
-    if self._scatter is not None:
-      target, ids = self._scatter
-      target.index_copy_(1, ids, self.ctrl)
+      route.run(cmd)
+    if not isinstance(self._index, slice):
+      torch.index_select(self._all_ctrl, 1, self._index, out=self.ctrl)
     return self.ctrl
 
   def reset(
@@ -227,7 +215,6 @@ class _Route:
     group: ActuatorGroup,
     columns: Sequence[Column],
     targets: Sequence[Target],
-    ctrl_ids: Sequence[int],
     ctrl: torch.Tensor,
     generator: torch.Generator | None,
   ) -> None:
@@ -240,23 +227,22 @@ class _Route:
       group, columns, num_envs=len(ctrl), device=ctrl.device, dtype=ctrl.dtype, generator=generator
     )
     sources = [source[column.target] for column in columns]
-    places = [ctrl_ids.index(column.ctrl) for column in columns]
+    places = [column.ctrl for column in columns]
     self._columns = None if sources == list(range(len(targets))) else as_index(sources, ctrl.device)
     self._ctrl, self._places, place = ctrl, torch.tensor(places, device=ctrl.device), as_slice(places)
     self._into = None if place is None else ctrl[:, place]
     self._fields = group.command_fields
-    self.gather: tuple[int, torch.Tensor, torch.Tensor] | None = None
-    """For targets that go to ctrl as they are: the index in `COMMAND_FIELDS`, their columns, and where they go."""
+    # Targets that go to ctrl as they are, in another order, take a single operation.
     is_plain = type(self.actuator) is PassThrough and not self.actuator.is_geared and self.actuator.delay is None
-    if is_plain and self._into is not None and self._columns is not None:
-      self.gather = (COMMAND_FIELDS.index(self._fields[0]), torch.tensor(sources, device=ctrl.device), self._into)
+    self._gather = torch.tensor(sources, device=ctrl.device) if is_plain and self._columns is not None else None
 
   def run(self, cmd: ActuatorCmd) -> None:
-    value = self.actuator.compute(self._select(cmd))
-    if self._into is not None:
-      self._into.copy_(value)
+    if self._into is None:
+      self._ctrl.index_copy_(1, self._places, self.actuator.compute(self._select(cmd)))
+    elif self._gather is not None:
+      torch.index_select(getattr(cmd, self._fields[0]), 1, self._gather, out=self._into)
     else:
-      self._ctrl.index_copy_(1, self._places, value)
+      self._into.copy_(self.actuator.compute(self._select(cmd)))
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
     if self.actuator.delay is not None or type(self.actuator).reset is not Actuator.reset:

@@ -17,16 +17,11 @@ def write_spec(spec: mujoco.MjSpec, folder: Path) -> Path:
   with AtomicWrite(folder) as made:
     made.mkdir()
     for number, part in enumerate((*spec.meshes, *spec.hfields, *spec.textures, *spec.skins)):
-      source = Path(part.file)
-      if part.file and part.file not in assets:
-        # Files of several folders may have the same name.
-        part.file = f"{number}_{safe_name(source.name)}"
-        assets[part.file] = source.read_bytes()
-      elif part.file and (inside := _inside(part.file)) != part.file:
-        # The name comes from a model file, and may lead out of the folder.
-        name = part.file
-        part.file = f"{number}_{safe_name(inside)}"
-        assets[part.file] = assets[name]
+      if part.file and (part.file not in assets or _inside(part.file) != part.file):
+        # Files of several folders may have the same name, and a name in a model file may lead out of the folder.
+        name = f"{number}_{safe_name(Path(part.file).name)}"
+        assets[name] = assets[part.file] if part.file in assets else Path(part.file).read_bytes()
+        part.file = name
     assets = {name: content for name, content in assets.items() if _inside(name) == name}
     spec.assets = assets
     spec.compile()

@@ -65,29 +65,22 @@ def merge_options(scene: mujoco.MjSpec, parts: Mapping[str, mujoco.MjSpec]) -> N
   Raises:
     MjlabError: Two parts set the same option to different values; the message names both.
   """
-  specs = (scene, *parts.values())
+  specs, default = (scene, *parts.values()), mujoco.MjSpec().option
   for option in _OPTIONS:
-    value = _merged(option, scene, parts)
+    value, setter = np.array(getattr(scene.option, option)), ""
+    for name, part in parts.items():
+      given = np.array(getattr(part.option, option))
+      if np.array_equal(given, getattr(default, option)):
+        continue
+      if setter and not np.array_equal(given, value):
+        raise MjlabError(
+          f"option '{option}': {name} says {given.tolist()} and {setter} says {value.tolist()}; "
+          "the worlds of a scene share their options, so set one of them to the other's value or to the default"
+        )
+      value, setter = given, name
     for spec in specs:
       setattr(spec.option, option, value if value.ndim else value.item())
   for size in _SIZES:
     largest = max(getattr(spec, size) for spec in specs)
     for spec in specs:
       setattr(spec, size, largest)
-
-
-def _merged(option: str, scene: mujoco.MjSpec, parts: Mapping[str, mujoco.MjSpec]) -> np.ndarray:
-  """Return the value of an option that a part sets, or else that of the scene."""
-  default = getattr(mujoco.MjSpec().option, option)
-  value, setter = np.array(getattr(scene.option, option)), None
-  for name, part in parts.items():
-    given = np.array(getattr(part.option, option))
-    if np.array_equal(given, default):
-      continue
-    if setter is not None and not np.array_equal(given, value):
-      raise MjlabError(
-        f"option '{option}': {name} says {given.tolist()} and {setter} says {value.tolist()}; "
-        "the worlds of a scene share their options, so set one of them to the other's value or to the default"
-      )
-    value, setter = given, name
-  return value
