@@ -52,6 +52,7 @@ def general(gear: float, field: Any, bias: tuple[float, ...]) -> ActuatorCfg:
 
 
 XML = XmlActuatorCfg(target_names_expr=("j",))
+DC = 'motorconst=".5" resistance=".1"'
 CASES: dict[str, Any] = {
   "motor": lambda g: (NativeMotorActuatorCfg(target_names_expr=("j",), gear=g), "", TARGETS["effort_target"]),
   "general, position": lambda g: (general(g, "position_target", (0.0, -KP, -KD)), "", pd("position_target")),
@@ -61,24 +62,20 @@ CASES: dict[str, Any] = {
     f"dc motor, {', '.join(inputs)}": lambda g, i=inputs: (dc(g, *i), "", pd(*i))
     for inputs in [ALL[:1], ALL[1:2], ALL[:2], ALL, (ALL[0], ALL[2])]
   },
-  "MJCF position": lambda g: (
-    XML,
-    f'<position joint="j" kp="{KP / g**2}" kv="{KD / g**2}" gear="{g}"/>',
-    pd("position_target"),
-  ),
-  "MJCF velocity": lambda g: (XML, f'<velocity joint="j" kv="{KD / g**2}" gear="{g}"/>', pd(ALL[1])),
-  "MJCF motor": lambda g: (XML, f'<motor joint="j" gear="{g}"/>', TARGETS["effort_target"]),
-  "MJCF pid": lambda g: (
-    XML,
-    f'<pid joint="j" kp="{KP / g**2}" kv="{KD / g**2}" input="pos vel ff" gear="{g}"/>',
-    pd(*ALL),
-  ),
-  "MJCF dc motor": lambda g: (
-    XML,
-    f'<dcmotor joint="j" motorconst=".5" resistance=".1" input="pos vel" gear="{g}"'
-    f' controller="{KP / g**2} 0 {KD / g**2}"/>',
-    pd(*ALL[:2]),
-  ),
+  **{
+    f"MJCF {kind}": lambda g, own=own, expected=expected: (
+      XML,
+      f'<{own.format(kp=KP / g**2, kd=KD / g**2)} joint="j" gear="{g}"/>',
+      expected,
+    )
+    for kind, own, expected in [
+      ("position", 'position kp="{kp}" kv="{kd}"', pd("position_target")),
+      ("velocity", 'velocity kv="{kd}"', pd("velocity_target")),
+      ("motor", "motor", TARGETS["effort_target"]),
+      ("pid", 'pid kp="{kp}" kv="{kd}" input="pos vel ff"', pd(*ALL)),
+      ("dc motor", f'dcmotor {DC} input="pos vel" controller="{{kp}} 0 {{kd}}"', pd(*ALL[:2])),
+    ]
+  },
 }
 
 
@@ -145,7 +142,7 @@ def test_the_constants_of_a_geared_dc_motor_with_a_controller_are_those_of_the_m
 
 def test_volts_and_the_activation_of_a_muscle_pass_a_gear_unchanged() -> None:
   for own in (
-    '<dcmotor joint="j" motorconst=".5" resistance=".1" gear="2"/>',
+    f'<dcmotor joint="j" {DC} gear="2"/>',
     '<muscle joint="j" lengthrange="0 1" force="10" gear="2"/>',
   ):
     _, actuators = build(chain("j", actuators=own), XML)

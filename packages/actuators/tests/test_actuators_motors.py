@@ -47,27 +47,15 @@ def given(cfg: ActuatorCfg, wanted: float, velocity: float) -> float:
   return actuator.compute(ActuatorCmd(zero, zero, zero + wanted, zero, zero + velocity)).item()
 
 
-@pytest.mark.parametrize(
-  ("velocity", "upper"),
-  # The current limit cuts the line off below 8 rad/s; against the motion it is all that limits.
-  [
-    (-100.0, 6.0),
-    (-20.0, 6.0),
-    (0.0, 6.0),
-    (8.0, 6.0),
-    (12.0, 4.0),
-    (19.0, 0.5),
-    (20.0, 0.0),
-    (21.0, 0.0),
-    (99.0, 0.0),
-  ],
-)
-def test_a_dc_motor_follows_its_line_up_to_the_no_load_speed_and_forces_nothing_beyond(
-  velocity: float, upper: float
-) -> None:
+# The current limit cuts the line off below 8 rad/s; against the motion it is all that limits.
+LINE = {-100.0: 6.0, -20.0: 6.0, 0.0: 6.0, 8.0: 6.0, 12.0: 4.0, 19.0: 0.5, 20.0: 0.0, 21.0: 0.0, 99.0: 0.0}
+
+
+@pytest.mark.parametrize(("velocity", "upper"), LINE.items())
+def test_a_dc_motor_follows_its_line_up_to_the_no_load_speed(velocity: float, upper: float) -> None:
   assert given(dc(), 1e3, velocity) == pytest.approx(upper, abs=1e-12)
   assert given(dc(), -1e3, -velocity) == pytest.approx(-upper, abs=1e-12)
-  # What lies within the bounds passes as it is: zero stays zero at any speed.
+  # An effort within the bounds passes unchanged: zero stays zero at any speed.
   assert given(dc(), 0.0, velocity) == 0.0
 
 

@@ -29,6 +29,9 @@ from scene_models import MakeWorlds, entity
 KINDS = "xml servo native_pd speed torque muscle general native_dc pd dc envelope network".split()
 
 
+GAINS: dict[str, Any] = {"stiffness": 5.0, "damping": 0.1}
+
+
 def hand() -> mujoco.MjSpec:
   """One body with a finger per kind of actuator; that of the MJCF's own has its actuator already."""
   fingers = "".join(
@@ -47,39 +50,24 @@ def all_kinds(network: Path) -> tuple[ActuatorCfg, ...]:
   net = torch.nn.Sequential(torch.nn.Linear(6, 8), torch.nn.Softsign(), torch.nn.Linear(8, 1))
   torch.save(net.state_dict(), network)
   late: dict[str, Any] = {"delay_min_lag": 2, "delay_max_lag": 2}
+  affine: dict[str, Any] = {"gain_prm": (5.0,), "bias_type": "affine", "bias_prm": (0.0, -5.0, -0.1)}
+  motor: dict[str, Any] = {"torque_constant": 0.5, "resistance": 2.0}
+  inputs = ("position_target", "velocity_target")
   return (
     LearnedMlpActuatorCfg(target_names_expr=("network",), network_file=network, effort_limit=2.0, sample_period=0.002),
     XmlActuatorCfg(target_names_expr=("xml",), **late),
-    NativePositionActuatorCfg(target_names_expr=("servo",), stiffness=5.0, damping=0.1, **late),
-    NativePdActuatorCfg(target_names_expr=("native_pd",), stiffness=5.0, damping=0.1, effort_limit=2.0, **late),
+    NativePositionActuatorCfg(target_names_expr=("servo",), **GAINS, **late),
+    NativePdActuatorCfg(target_names_expr=("native_pd",), effort_limit=2.0, **GAINS, **late),
     NativeVelocityActuatorCfg(target_names_expr=("speed",), damping=0.5),
     NativeMotorActuatorCfg(target_names_expr=("torque",), effort_limit=1.0),
     NativeMuscleActuatorCfg(target_names_expr=("muscle",), force=5.0),
     NativeGeneralActuatorCfg(
-      target_names_expr=("general",),
-      command_field="position_target",
-      gain_prm=(5.0,),
-      bias_type="affine",
-      bias_prm=(0.0, -5.0, -0.1),
-      dyn_type="filterexact",
-      dyn_prm=(0.02,),
+      target_names_expr=("general",), command_field="position_target", dyn_type="filterexact", dyn_prm=(0.02,), **affine
     ),
-    NativeDcMotorActuatorCfg(
-      target_names_expr=("native_dc",),
-      torque_constant=0.5,
-      resistance=2.0,
-      inputs=("position_target", "velocity_target"),
-      stiffness=5.0,
-      damping=0.1,
-      voltage_limit=24.0,
-    ),
-    IdealPdActuatorCfg(target_names_expr=("pd",), stiffness=5.0, damping=0.1, **late),
-    DcMotorActuatorCfg(
-      target_names_expr=("dc",), stiffness=5.0, damping=0.1, saturation_effort=2.0, velocity_limit=8.0, **late
-    ),
-    EnvelopedPdActuatorCfg(
-      target_names_expr=("envelope",), stiffness=5.0, damping=0.1, envelope=UNITREE_ENVELOPES["W4010-25"]
-    ),
+    NativeDcMotorActuatorCfg(target_names_expr=("native_dc",), inputs=inputs, voltage_limit=24.0, **GAINS, **motor),
+    IdealPdActuatorCfg(target_names_expr=("pd",), **GAINS, **late),
+    DcMotorActuatorCfg(target_names_expr=("dc",), saturation_effort=2.0, velocity_limit=8.0, **GAINS, **late),
+    EnvelopedPdActuatorCfg(target_names_expr=("envelope",), envelope=UNITREE_ENVELOPES["W4010-25"], **GAINS),
   )
 
 

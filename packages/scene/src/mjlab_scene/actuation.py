@@ -27,7 +27,7 @@ class Actuation(Stateful):
   Each tensor of targets has the columns of all joints, then of all tendons, then of all sites.
 
   Args:
-    actuators: Actuator models, built here; None without actuators.
+    actuators: Actuator models, built here.
     sim: The simulation.
     indexing: Places of the entity's elements.
     initial: State that targets are reset to.
@@ -37,7 +37,7 @@ class Actuation(Stateful):
 
   def __init__(
     self,
-    actuators: ActuatorSet | None,
+    actuators: ActuatorSet,
     sim: Simulation,
     indexing: EntityIndexing,
     initial: InitialState,
@@ -61,8 +61,7 @@ class Actuation(Stateful):
     for quantity, joints in zip(QUANTITIES, (num_q, num_v, num_v), strict=True):
       parts = getattr(self, quantity).split([joints, *others], dim=1)
       self.views |= {(kind, quantity): part for kind, part in zip(get_args(Transmission), parts, strict=True)}
-    if actuators is not None:
-      self._build(actuators, indexing, prefix, rng)
+    self._build(indexing, prefix, rng)
     start = [x for name in names["joint"] for x in initial.joint_pos[name]]
     start += [initial.tendon_len[name] for name in names["tendon"]]
     start += [initial.site_pos.get(name, 0.0) for name in names["site"]]
@@ -71,9 +70,9 @@ class Actuation(Stateful):
     self._written: list[int] = []
     self.position.copy_(self._default)
 
-  def _build(self, actuators: ActuatorSet, indexing: EntityIndexing, prefix: str, rng: torch.Generator | None) -> None:
+  def _build(self, indexing: EntityIndexing, prefix: str, rng: torch.Generator | None) -> None:
     """Build the actuator models, and find their inputs: hinges and slides, then the tendons and sites they drive."""
-    sim, names = self._sim, indexing.names
+    sim, names, actuators = self._sim, indexing.names, self.actuators
     actuators.build(
       sim.mj_model,
       num_envs=sim.num_envs,
@@ -109,15 +108,12 @@ class Actuation(Stateful):
     where_(self.position, mask, self._default)
     fill_(self.velocity, mask, 0.0)
     fill_(self.effort, mask, 0.0)
-    if self.actuators is not None:
-      self.actuators.reset(mask, *(self._target_views or self._gather_targets()))
+    self.actuators.reset(mask, *(self._target_views or self._gather_targets()))
     # The simulation's reset clears controls.
     self._written.clear()
 
   def write_ctrl(self) -> None:
     """Turn targets into controls. Call it exactly once before each substep."""
-    if self.actuators is None:
-      return
     if self._holds:
       # Within a decimation nothing is written twice. The first substep of a recording always writes, because each
       # replay starts from new targets.

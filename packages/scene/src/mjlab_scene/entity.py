@@ -110,7 +110,7 @@ class Entity(EntitySpec, Stateful):
       init_state=cfg.init_state,
       edits=cfg.edits,
       collisions=cfg.collisions,
-      actuators=ActuatorSet(actuators, owner) if actuators else None,
+      actuators=ActuatorSet(actuators, owner),
     )
     self.overlay.edit_model(self.spec)
 
@@ -343,7 +343,7 @@ class Entity(EntitySpec, Stateful):
       columns, lack = [range(i, i + 1) for i in range(targets.shape[1])], f"no actuator config drives a {kind} of it"
       if kind == "joint":
         columns, lack = ix.q_of_joint if quantity == "position" else ix.v_of_joint, _NO_JOINTS
-      elif self.actuators is None or not self.actuators.driven(kind):
+      elif not self.actuators.driven(kind):
         columns = []
       add(f"{kind} {quantity} target", targets, columns, lack)
     return views

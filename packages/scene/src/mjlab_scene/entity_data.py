@@ -198,7 +198,7 @@ class EntityData(Stateful):
     self.default_root_state = constant([*initial.root_pose, *velocity])
     self.default_joint_pos = constant([x for name in joints for x in initial.joint_pos[name]])
     self.default_joint_vel = constant([x for name in joints for x in initial.joint_vel[name]])
-    limits = {} if actuation.actuators is None else actuation.actuators.velocity_limits
+    limits = actuation.actuators.velocity_limits
     self.joint_vel_limits = constant(
       [limits.get(Target("joint", name), np.inf) for name in joints for _ in initial.joint_vel[name]]
     )

@@ -44,7 +44,7 @@ class EntitySpec:
     init_state: State that the entity is reset to.
     edits: Changes of looks, lights and cameras.
     collisions: Contact presets.
-    actuators: Actuators of joints, tendons and sites; None leaves those of the spec to the user.
+    actuators: Actuators of joints, tendons and sites; others of the spec are left to the user.
 
   Raises:
     MjlabError: Anything wrong in the arguments; the message names it.
@@ -75,9 +75,9 @@ class EntitySpec:
     spec: mujoco.MjSpec,
     *,
     init_state: InitialStateCfg,
-    edits: Sequence[SpecEdit] = (),
-    collisions: Sequence[CollisionCfg] = (),
-    actuators: ActuatorSet | None = None,
+    edits: Sequence[SpecEdit],
+    collisions: Sequence[CollisionCfg],
+    actuators: ActuatorSet,
   ) -> None:
     if not name or "/" in name:
       raise MjlabError(f"entity name {name!r} must be a word without '/'")
@@ -89,7 +89,7 @@ class EntitySpec:
     self.spec = spec
     """The entity alone; attaching moves its contents into the scene."""
     self.actuators = actuators
-    """Actuator models of joints, tendons and sites; None if none are configured."""
+    """Actuator models of joints, tendons and sites."""
     name_everything(spec)
     root = _find_root(spec, self.owner)
     self.is_floating = root is not None and _floats(root)
@@ -100,9 +100,8 @@ class EntitySpec:
     """Name of the body that `root_*` quantities and writes refer to."""
     apply_edits(spec, edits, self.owner)
     apply_collisions(spec, collisions, self.owner)
-    if actuators is not None:
-      actuators.edit_spec(spec)
-      name_everything(spec)
+    actuators.edit_spec(spec)
+    name_everything(spec)
     model, self.initial_state = read_initial_state(spec, init_state, self.root_body_name, root is not None, self.owner)
     """State that the entity is reset to, by local name."""
     names = {kind: tuple(find_elements(model, kind).values()) for kind in KINDS}
@@ -171,7 +170,7 @@ class EntitySpec:
   @property
   def is_actuated(self) -> bool:
     """True if actuators are configured to drive its joints, tendons or sites."""
-    return self.actuators is not None
+    return bool(self.actuators.cfgs)
 
   find_bodies = _finder("body")
   find_joints = _finder("joint")

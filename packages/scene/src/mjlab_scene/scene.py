@@ -84,7 +84,7 @@ class Scene(Stateful):
   `scene["robot/imu_gyro"]` unless a configured sensor claims them.
 
   Args:
-    cfg: What the worlds contain.
+    cfg: Contents of the worlds.
     decimation: Physics steps of one environment step, for sensors that need it; None without an environment.
     problems: List that receives one line per mistake in the terrain, an entity or a sensor; the scene is then made of
       the others. None raises the first.

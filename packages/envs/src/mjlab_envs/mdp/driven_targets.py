@@ -47,7 +47,7 @@ class DrivenTargets(ActionTerm):
     kind = self.transmission
     self._entity = env.scene[cfg.entity]
     self._owner = f"entity '{cfg.entity}'"
-    driven = () if self._entity.actuators is None else self._entity.actuators.driven(kind)
+    driven = self._entity.actuators.driven(kind)
     names: tuple[str, ...] = getattr(self._entity, f"{kind}_names")
     _, self.target_names = match_names(
       cfg.actuators,

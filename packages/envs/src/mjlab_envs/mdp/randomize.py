@@ -4,7 +4,7 @@ from collections.abc import Hashable
 from typing import TYPE_CHECKING, Annotated, cast
 
 import torch
-from mjlab_actuators import ActuatorDelay, ActuatorParameter, ActuatorSet, ParameterName, Transmission
+from mjlab_actuators import ActuatorDelay, ActuatorParameter, ParameterName, Transmission
 from mjlab_core import Ascending, Limits, MjlabError, require
 from mjlab_dr import (
   FIELDS,
@@ -129,13 +129,13 @@ def _randomize_event(env: "ManagerBasedRlEnv", event: str) -> randomize:
 def _actuator_quantity(
   env: "ManagerBasedRlEnv", entity: "Entity", randomizer: FieldRandomizer, transmission: Transmission
 ) -> Quantity:
-  without = f"entity '{entity.name}': {randomizer.label}: no actuators are configured for it"
-  actuators = require(entity.actuators, ActuatorSet, without)
+  if not entity.is_actuated:
+    raise MjlabError(f"entity '{entity.name}': {randomizer.label}: no actuators are configured for it")
   if randomizer.field == "delay":
     lo, hi = randomizer.values[0].support()
-    return ActuatorDelay(actuators, (int(lo), int(hi)), randomizer.pattern, transmission)
+    return ActuatorDelay(entity.actuators, (int(lo), int(hi)), randomizer.pattern, transmission)
   name = cast("ParameterName", randomizer.field)
-  return ActuatorParameter(actuators, env.sim, name, randomizer.pattern, transmission)
+  return ActuatorParameter(entity.actuators, env.sim, name, randomizer.pattern, transmission)
 
 
 def _elements(env: "ManagerBasedRlEnv", entity: "Entity", field: Field) -> dict[str, int]:

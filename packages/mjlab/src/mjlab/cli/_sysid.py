@@ -5,7 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from mjlab_core.constraints import Items, require
+from mjlab_core.constraints import Items
+from mjlab_core.errors import ConfigError
 from mjlab_core.names import check_name
 
 from mjlab import environments
@@ -144,13 +145,13 @@ def robot_of(
     UnknownNameError: The scene has no such entity.
     ConfigError: The entity has no actuator models.
   """
-  from mjlab_actuators import ActuatorSet
   from mjlab_sysid import robot_on_ground, robot_on_stand
 
   entity, floor = wanted.entity, wanted.floor
   built = env.scene.entities[check_name("entity", entity, env.scene.entities)].build(entity)
-  missing = f"entity '{entity}' has no actuator models, so nothing commands it"
-  cfgs = require(built.actuators, ActuatorSet, missing).cfgs
+  if not built.is_actuated:
+    raise ConfigError(f"entity '{entity}' has no actuator models, so nothing commands it")
+  cfgs = built.actuators.cfgs
   env.sim.apply(built.spec)
   pose = {name: values[0] for name, values in built.initial_state.joint_pos.items() if len(values) == 1}
   if base == "free":
