@@ -9,7 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from mjlab_terrain import PerlinNoiseCfg, RandomGridCfg, TerrainGridCfg, TileCfg, all_types
+from mjlab_terrain import PerlinNoiseCfg, RandomBoxesCfg, RandomGridCfg, TerrainGridCfg, TileCfg, all_types
 from mjlab_terrain.solids import MIN_THICKNESS, HeightField
 from mjlab_terrain.surface import surface
 from mjlab_terrain.tile import Tile
@@ -235,7 +235,6 @@ VARIANTS = {
   "curved_slope": dataclasses.replace(all_types()["slope_up"], curved=True),
   "fixed_squares": dataclasses.replace(all_types()["discrete_obstacles"], mode="fixed", square=True),
   "beams_wider_than_the_platform": dataclasses.replace(all_types()["narrow_beams"], beam_width=(2.0, 0.8)),
-  "boxes_as_wide_as_the_tile": dataclasses.replace(all_types()["random_boxes"], length=(1.0, 6.5)),
   "steps_of_noise": dataclasses.replace(all_types()["random_rough"], step=0.02, spacing=0.3),
   **{f"{name}_to_the_rim": dataclasses.replace(cfg, border=0.0) for name, cfg in all_types().items() if name != "flat"},
 }
@@ -253,6 +252,13 @@ def test_a_grid_with_holes_has_its_cross_however_wide_its_cells_become() -> None
   tile = build(RandomGridCfg(holes=True, platform=0.1, cell=1.6), (7.5, 7.5), 0.0)
   z = surface(tile.solids, np.array([0.0, 3.0]), np.array([0.0, 3.0]))
   np.testing.assert_allclose(z, [[0.0, 0.0], [0.0, -2.0]], atol=1e-9)
+
+
+def test_boxes_that_would_reach_over_the_border_are_left_out() -> None:
+  ground, *boxes = build(RandomBoxesCfg(width=(3.0, 3.0), length=(6.4, 6.4)), (7.0, 31.0), 1.0).solids
+  assert ground.is_plain
+  assert boxes
+  assert all((np.maximum(-box.low, box.high)[:2] <= (3.25 + 1e-9, 15.25 + 1e-9)).all() for box in boxes)
 
 
 def test_noise_finer_than_a_cell_is_left_out_and_costs_nothing() -> None:
