@@ -86,9 +86,7 @@ def test_looking_for_kernels_asks_the_device_nothing(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.warp
-def test_a_step_loads_no_kernel_that_was_not_loaded_when_the_simulation_was_made(
-  make_sim: MakeSim, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_step_loads_no_kernel_that_was_not_loaded_when_the_simulation_was_made(make_sim: MakeSim) -> None:
   sim = make_sim("warp", capture=False)
   sim.expand_model_fields(["body_mass", "body_pos"])
   scatter(sim)

@@ -26,6 +26,7 @@ def test_a_saved_simulation_goes_on_bit_for_bit(make_sim: MakeSim, engine: str) 
   sim, other = randomised(make_sim, engine), make_sim(engine)
   run(sim, 5)
   saved = sim.state_dict()
+  assert type(saved["data"]["qpos"]) is torch.Tensor
   run(sim, 5)
   other.load_state_dict(saved)
   assert set(other.expanded_fields) == set(sim.expanded_fields)
@@ -83,15 +84,6 @@ def test_internal_constants_of_an_engine_follow_a_loaded_model(make_sim) -> None
     sim.step()
     other.step()
   assert torch.equal(sim.data.qpos, other.data.qpos)
-
-
-def test_a_saved_state_does_not_change(make_sim: MakeSim, engine: str) -> None:
-  sim = randomised(make_sim, engine)
-  saved = sim.state_dict()
-  kept = {name: value.clone() for name, value in saved["data"].items()}
-  run(sim, 2)
-  assert all(torch.equal(saved["data"][name], kept[name]) for name in kept)
-  assert type(saved["data"]["qpos"]) is torch.Tensor
 
 
 def test_a_state_that_does_not_fit_is_refused_and_changes_nothing(
