@@ -135,7 +135,7 @@ def test_losing_every_twentieth_message_ends_in_damping(bundle: Bundle, seed: in
   robot, runner = driven(bundle, seed=seed)
   robot.loss = 0.05
   last, lost, exceeded = robot.read(), [], math.inf
-  while not robot.is_damped:
+  while not robot.is_damped and robot.time < 5.0:
     robot.advance()
     state = robot.read()
     assert state is not None
@@ -146,8 +146,18 @@ def test_losing_every_twentieth_message_ends_in_damping(bundle: Bundle, seed: in
     if sum(lost[-100:]) >= 5:
       exceeded = min(exceeded, robot.time)
     runner.tick(robot.time)
+  assert robot.is_damped
   assert robot.time - exceeded <= IN_TIME
   assert "messages were lost" in runner.reason
+
+
+def test_commands_arrive_late(bundle: Bundle) -> None:
+  robot, damped = LoopbackRobot(bundle, delay=2), []
+  for _ in range(4):
+    robot.write(RobotCommand(position=np.zeros(1), stiffness=np.ones(1), damping=np.ones(1)))
+    robot.advance()
+    damped.append(robot.is_damped)
+  assert damped == [True, True, False, False]
 
 
 def test_a_killed_runner_ends_in_damping(bundle: Bundle) -> None:
