@@ -42,8 +42,8 @@ class NativeRayCaster:
       if len(self._targets.others):
         moving, _, moving_normal = self._against_all(*rays, flg_static=False)
         nearer = (moving >= 0.0) & ((moving < distance) | (distance < 0.0))
-        np.copyto(distance, moving, where=nearer)
-        np.copyto(normal, moving_normal, where=nearer[..., None])
+        distance = np.where(nearer, moving, distance)
+        normal = np.where(nearer[..., None], moving_normal, normal)
     hits = self._rays.hits
     hits.distance.copy_(torch.from_numpy(distance))
     hits.normal.copy_(torch.from_numpy(normal))
@@ -70,9 +70,10 @@ class NativeRayCaster:
       passed = np.where(own, distance + _SKIN, 0.0)[worlds]
       start = origins[worlds] + passed[..., None] * directions[worlds]
       further, geom, surface = cast(start, directions[worlds], ids=worlds)
-      further = np.where(further < 0.0, -1.0, passed + further)
       again = own[worlds]
-      distance[own], geomid[own], normal[own] = further[again], geom[again], surface[again]
+      distance[worlds] = np.where(again, np.where(further < 0.0, -1.0, passed + further), distance[worlds])
+      geomid[worlds] = np.where(again, geom, geomid[worlds])
+      normal[worlds] = np.where(again[..., None], surface, normal[worlds])
       own &= self._hits_own(geomid)
     return distance, geomid, normal
 
