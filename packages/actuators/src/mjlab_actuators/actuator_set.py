@@ -10,7 +10,7 @@ import mujoco
 import torch
 from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_index, as_slice, select
 
-from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Column
+from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column
 from mjlab_actuators.actuator_cfg import ActuatorCfg
 from mjlab_actuators.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission, targets_of, targets_of_actuators
@@ -131,9 +131,15 @@ class ActuatorSet(Stateful):
 
     Call it exactly once a substep: it advances delays. All arguments are (num_envs, len(targets)).
     """
-    cmd = ActuatorCmd(position_target, velocity_target, effort_target, position, velocity)
+    targets = (position_target, velocity_target, effort_target)
+    cmd: ActuatorCmd | None = None
     for route in self._routes:
-      route.run(cmd)
+      if route.gather is None:
+        cmd = ActuatorCmd(*targets, position, velocity) if cmd is None else cmd
+        route.run(cmd)
+      else:
+        field, index, into = route.gather
+        torch.index_select(targets[field], 1, index, out=into)
     if not isinstance(self._index, slice):
       torch.index_select(self._all_ctrl, 1, self._index, out=self.ctrl)
     return self.ctrl
@@ -232,17 +238,18 @@ class _Route:
     self._ctrl, self._places, place = ctrl, torch.tensor(places, device=ctrl.device), as_slice(places)
     self._into = None if place is None else ctrl[:, place]
     self._fields = group.command_fields
-    # Targets that go to ctrl as they are, in another order, take a single operation.
+    self.gather: tuple[int, torch.Tensor, torch.Tensor] | None = None
+    """For targets that go to ctrl as they are: the index in `COMMAND_FIELDS`, their columns, and where they go."""
     is_plain = type(self.actuator) is PassThrough and not self.actuator.is_geared and self.actuator.delay is None
-    self._gather = torch.tensor(sources, device=ctrl.device) if is_plain and self._columns is not None else None
+    if is_plain and self._into is not None and self._columns is not None:
+      self.gather = (COMMAND_FIELDS.index(self._fields[0]), torch.tensor(sources, device=ctrl.device), self._into)
 
   def run(self, cmd: ActuatorCmd) -> None:
-    if self._into is None:
-      self._ctrl.index_copy_(1, self._places, self.actuator.compute(self._select(cmd)))
-    elif self._gather is not None:
-      torch.index_select(getattr(cmd, self._fields[0]), 1, self._gather, out=self._into)
+    value = self.actuator.compute(self._select(cmd))
+    if self._into is not None:
+      self._into.copy_(value)
     else:
-      self._into.copy_(self.actuator.compute(self._select(cmd)))
+      self._ctrl.index_copy_(1, self._places, value)
 
   def reset(self, mask: torch.Tensor, cmd: ActuatorCmd) -> None:
     if self.actuator.delay is not None or type(self.actuator).reset is not Actuator.reset:
