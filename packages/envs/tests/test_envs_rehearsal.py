@@ -85,11 +85,10 @@ class Idle(ActionTerm):
 
 @dataclass(kw_only=True)
 class BrokenDrawingCfg(BuiltinSensorCfg):
-  def build(self, name: str = "") -> "BrokenDrawing":
-    return BrokenDrawing(name, self)
+  pass
 
 
-class BrokenDrawing(BuiltinSensor):
+class BrokenDrawing(BuiltinSensor, cfg=BrokenDrawingCfg):
   def debug_draw(self, draw: DebugDraw) -> None:
     wrong: Any = {"colour": (1.0, 0.0, 0.0, 1.0)}
     draw.spheres(torch.zeros(1, 3), radius=0.1, **wrong)

@@ -158,9 +158,9 @@ class BuiltinSensor(Sensor[torch.Tensor], cfg=BuiltinSensorCfg):
 
   cfg: BuiltinSensorCfg
 
-  def __init__(self, name: str, cfg: BuiltinSensorCfg) -> None:
-    super().__init__(name, cfg)
-    self._element = name if cfg.element is None else cfg.element
+  def __init__(self, cfg: BuiltinSensorCfg) -> None:
+    super().__init__(cfg)
+    self._element = cfg.name if cfg.element is None else cfg.element
     self._columns = torch.empty(0)
 
   @property

@@ -126,9 +126,9 @@ class CameraSensor(Sensor[CameraData], cfg=CameraSensorCfg):
 
   cfg: CameraSensorCfg
 
-  def __init__(self, name: str, cfg: CameraSensorCfg) -> None:
-    super().__init__(name, cfg)
-    self.camera_name = name if cfg.camera is None or cfg.fovy is not None else cfg.camera
+  def __init__(self, cfg: CameraSensorCfg) -> None:
+    super().__init__(cfg)
+    self.camera_name = cfg.name if cfg.camera is None or cfg.fovy is not None else cfg.camera
     """Full name of the camera."""
     self.width, self.height = cfg.width, cfg.height
 

@@ -126,8 +126,8 @@ class ContactSensor(Sensor[ContactData], cfg=ContactSensorCfg):
 
   cfg: ContactSensorCfg
 
-  def __init__(self, name: str, cfg: ContactSensorCfg) -> None:
-    super().__init__(name, cfg)
+  def __init__(self, cfg: ContactSensorCfg) -> None:
+    super().__init__(cfg)
     self.primary_names: tuple[str, ...] = ()
     self.secondary_names: tuple[str, ...] = ()
     """Full names of the secondaries; empty if all elements count."""

@@ -64,10 +64,8 @@ class SensorCfg(Config):
     """
     if (not name and not self.name) or (name and self.name not in ("", name)):
       raise MjlabError(f"{self.label}: needs one name; the scene calls this sensor {name!r}")
-    name = name or self.name
-    # A copy, which is checked, so that messages give the name.
-    replace(self, name=name)
-    return self.sensor_class(name, self)
+    # The copy is checked again, with the name in messages.
+    return self.sensor_class(replace(self, name=name or self.name))
 
 
 class Sensor(Stateful, ABC, Generic[T]):
@@ -88,18 +86,12 @@ class Sensor(Stateful, ABC, Generic[T]):
     if cfg is not None:
       cfg.sensor_class = cls
 
-  def __init__(self, name: str, cfg: Any) -> None:
-    self.name = name
-    self.cfg = cfg
+  def __init__(self, cfg: Any) -> None:
+    self.cfg, self.name, self.label = cfg, cfg.name, cfg.label
     self.num_envs = 0
     self._sim: Simulation | None = None
     self._read_at: tuple[int, int] | None = None
     self._reading: T | None = None
-
-  @property
-  def label(self) -> str:
-    """The sensor as error messages call it."""
-    return f"{type(self.cfg).__name__} '{self.name}'"
 
   @abstractmethod
   def edit_spec(self, spec: mujoco.MjSpec, entities: Mapping[str, Any]) -> None:
