@@ -66,6 +66,11 @@ class EntityIndexing:
   frames: dict[str, Frames]
   """Places of bodies, geoms and sites, by kind; "root" is the root body."""
 
+  @property
+  def bodies(self) -> dict[str, Index | int]:
+    """Body of each body, geom and site, by kind."""
+    return {kind: frames.bodies for kind, frames in self.frames.items()}
+
 
 def index_entity(model: mujoco.MjModel, prefix: str, root: str, device: torch.device) -> EntityIndexing:
   """Return the places of all elements of `model` whose names start with `prefix`.
