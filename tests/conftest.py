@@ -4,9 +4,36 @@ import importlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from mjlab_rl import references
+
+if TYPE_CHECKING:
+  from playwright.sync_api import Browser
+
+ROOT = Path(__file__).parents[1]
+# These tests share modules with each other and with the tests of members.
+sys.path += [
+  str(ROOT / "tests"),
+  *(str(ROOT / "packages" / name / "tests") for name in ("dr", "mjlab", "sim", "viewer")),
+]
+
+
+@pytest.fixture(scope="module")
+def launched() -> Iterator["Browser"]:
+  from viewer_page import headless_chromium
+
+  with headless_chromium() as browser:
+    yield browser
+
+
+@pytest.fixture
+def chromium(launched: "Browser") -> Iterator["Browser"]:
+  from viewer_page import closing_pages
+
+  with closing_pages(launched) as browser:
+    yield browser
 
 
 def forget_modules(below: Path, known: set[str]) -> None:

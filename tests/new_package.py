@@ -1,4 +1,4 @@
-"""Packages as somebody installs them: built as wheels, offline, and put into a folder."""
+"""Installation of packages from offline wheels into a folder."""
 
 import os
 import shutil
@@ -19,18 +19,8 @@ def install(*packages: Path, into: Path) -> None:
 
 
 def run_tests(*packages: Path, installed: Path) -> None:
-  """Run the tests of packages as their author does, in a process of their own."""
-  # Without the settings of this repository.
-  command = [
-    sys.executable,
-    "-m",
-    "pytest",
-    "-q",
-    "-p",
-    "no:cacheprovider",
-    "-c",
-    os.devnull,
-  ]
+  """Run the tests of packages in a separate process, without the settings of this repository."""
+  command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-c", os.devnull]
   done = subprocess.run(
     [*command, *(str(package.resolve() / "tests") for package in packages)],
     env={**os.environ, "PYTHONPATH": str(installed)},

@@ -24,7 +24,7 @@ WORLDS = 5
 STEPS = 10
 VARIANTS = ("-Blind", "-Distill", "-IK", "-No-State-Estimation")
 SCENES = [name for name in mjlab.list_tasks() if not name.endswith(VARIANTS)]
-"""Tasks with a scene of their own."""
+"""Tasks with a separate scene."""
 
 
 def seen(observations: dict[str, Any]) -> list[torch.Tensor]:
@@ -39,7 +39,7 @@ def leaves(state: Any, where: str = "") -> dict[str, Any]:
 
 
 def changeable(value: Any, where: str = "") -> list[tuple[int, str]]:
-  """Identity and place of every dictionary, list and open dataclass in a config, of a shared one each place."""
+  """Return identity and place of each dictionary, list and open dataclass; shared ones have several places."""
   if isinstance(value, dict):
     inside = {f"[{key!r}]": item for key, item in value.items()}
   elif isinstance(value, list | tuple):
@@ -135,7 +135,7 @@ def test_changing_one_part_of_a_task_changes_no_other_part_and_no_other_task(nam
 
 
 @pytest.mark.parametrize("name", mjlab.list_tasks())
-def test_every_task_can_be_rebuilt_from_what_a_run_writes_down(name: str, tmp_path: Any) -> None:
+def test_every_task_is_rebuilt_from_the_manifest_of_a_run(name: str, tmp_path: Any) -> None:
   task = mjlab.load_task(name)
   manifest = RunManifest(task=name, env=task.env, agent=task.agent, play=task.play)
   write_manifest(tmp_path, manifest)

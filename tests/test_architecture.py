@@ -11,7 +11,7 @@ from mjlab import make, register_task, registry
 ARCHITECTURE = Path(__file__).parents[1] / "docs" / "architecture.md"
 
 
-def test_the_example_is_a_task_whose_terms_do_what_they_say(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_terms_of_the_example_have_the_described_values(monkeypatch: pytest.MonkeyPatch) -> None:
   (block,) = re.findall(r"```python\n(.*?)```", ARCHITECTURE.read_text(encoding="utf-8"), re.DOTALL)
   names: dict[str, Any] = {"__name__": "example"}
   exec(compile(block, str(ARCHITECTURE), "exec"), names)

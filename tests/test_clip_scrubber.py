@@ -1,9 +1,7 @@
-"""The time of a clip, moved by hand on the page of the browser viewer."""
+"""The scrubber of a clip on the page of the browser viewer."""
 
-import io
-import sys
-from collections.abc import Iterator
-from contextlib import ExitStack
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
@@ -17,13 +15,8 @@ from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Motion, load_motion, resample, shipped_clips
 from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
 from mjlab_viewer import BrowserViewer, Playback, ViewedEnv, ZeroPolicy
-from PIL import Image
 from playwright.sync_api import Browser, Page
-
-# The page as the viewer's own tests drive it.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
-
-from viewer_page import closing_pages, eventually, headless_chromium, opened, slide, stepping
+from viewer_page import eventually, is_red, opened, pixels, slide, stepping
 
 CLIP = "side_step_dance"
 # A mast whose red flag hangs down at 0 and stands level at pi/2.
@@ -44,52 +37,26 @@ FLAG = """
 """
 
 
-@pytest.fixture(scope="module")
-def launched() -> Iterator[Browser]:
-  with headless_chromium() as browser:
-    yield browser
+@contextmanager
+def shown(env: ViewedEnv, num_actions: int, browser: Browser) -> Generator[tuple[BrowserViewer, Playback, Page]]:
+  """Run a viewer in a separate thread, and open its page."""
+  playback = Playback(env, ZeroPolicy(env.num_envs, num_actions, env.sim.device))
+  viewer = BrowserViewer(env, playback=playback, port=8400)
+  with stepping(viewer):
+    page = opened(browser, viewer.url)
+    yield viewer, playback, page
+    page.close()
 
 
-@pytest.fixture
-def chromium(launched: Browser) -> Iterator[Browser]:
-  with closing_pages(launched) as browser:
-    yield browser
-
-
-class Shown:
-  """An environment under a viewer in a thread of its own, and the page of it."""
-
-  def __init__(self, env: ViewedEnv, num_actions: int, browser: Browser) -> None:
-    self.playback = Playback(env, ZeroPolicy(env.num_envs, num_actions, env.sim.device))
-    self.viewer = BrowserViewer(env, playback=self.playback, port=8400)
-    self._browser = browser
-    self._ending = ExitStack()
-
-  def __enter__(self) -> "Shown":
-    with ExitStack() as stack:
-      stack.enter_context(stepping(self.viewer))
-      self.page: Page = opened(self._browser, self.viewer.url)
-      stack.callback(self.page.close)
-      self._ending = stack.pop_all()
-    return self
-
-  def __exit__(self, *_: object) -> None:
-    self._ending.close()
-
-  def pause(self) -> None:
-    self.page.get_by_role("button", name="Pause").click()
-    self.page.get_by_role("button", name="Play", exact=True).wait_for()
-    eventually(lambda: self.playback.paused)
-
-
-def clip() -> Motion:
-  return resample(load_motion(shipped_clips()[CLIP]), 50.0)
+def pause(page: Page, playback: Playback) -> None:
+  page.get_by_role("button", name="Pause").click()
+  page.get_by_role("button", name="Play", exact=True).wait_for()
+  eventually(lambda: playback.paused)
 
 
 def red(page: Page) -> np.ndarray:
-  """Where something red is on the left of the page, but for its axes in the corner, bool (height, width)."""
-  image = np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:460, :340, :3]
-  return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
+  """Return the red pixels above the axes in the corner, bool (height, width)."""
+  return is_red(pixels(page)[:460])
 
 
 def tracking() -> tuple[ManagerBasedRlEnv, MotionCommand]:
@@ -103,7 +70,7 @@ def tracking() -> tuple[ManagerBasedRlEnv, MotionCommand]:
 
 
 def ghost_centres(env: ManagerBasedRlEnv, motion: Motion, frame: int) -> np.ndarray:
-  """Where MuJoCo C has the middles of the robot's visible shapes that are no meshes, (n, 3) [m]."""
+  """Return the centres of the robot's visible shapes without meshes in MuJoCo C, (n, 3) [m]."""
   model = env.sim.mj_model
   data = mujoco.MjData(model)
   data.qpos[:] = torch.cat((motion.root_pos[frame], motion.root_quat[frame], motion.joint_pos[frame]))
@@ -119,11 +86,10 @@ def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
   # A robot of primitives, also where meshes are installed: their places are sent to the page.
   monkeypatch.setenv("MENAGERIE_ROOT", str(tmp_path))
   env, term = tracking()
-  motion = clip()
-  with env, Shown(env, 29, chromium) as shown:
-    page = shown.page
+  motion = resample(load_motion(shipped_clips()[CLIP]), 50.0)
+  with env, shown(env, 29, chromium) as (viewer, playback, page):
     page.get_by_label("Manual").check()
-    # Once while the worlds run, once while they are paused.
+    # First while the worlds run, then while they are paused.
     for time, frame, is_next in ((12.4, 620, True), (3.0, 150, False)):
       slide(page, "time [s]", time)
       eventually(lambda frame=frame: term.frame[0] == frame, f"not at frame {frame}")
@@ -132,19 +98,19 @@ def test_ghost_and_reference_go_to_the_frame_that_the_scrubber_is_moved_to(
       wanted = ghost_centres(env, motion, frame)
 
       def is_drawn(wanted: np.ndarray = wanted) -> bool:
-        shapes = [shape for shape in shown.viewer.history[-1].drawings[0].shapes if shape.kind != "mesh"]
+        shapes = [shape for shape in viewer.history[-1].drawings[0].shapes if shape.kind != "mesh"]
         middles = [s.position[0] + (0.5 * s.direction[0] if s.kind == "line" else 0.0) for s in shapes]
         return len(middles) == len(wanted) and np.allclose(middles, wanted, atol=1e-4)
 
       eventually(is_drawn, "the ghost is elsewhere")
       if is_next:
-        shown.pause()
-    # The other world was not asked to.
+        pause(page, playback)
+    # The other world has no manual command.
     assert term.frame[1] != 150
     page.get_by_label("Manual").uncheck()
     page.get_by_role("button", name="Play", exact=True).click()
     eventually(lambda: term.frame[0] > 150, "the clip does not go on")
-    assert shown.playback.error is None
+    assert playback.error is None
 
 
 def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chromium: Browser) -> None:
@@ -159,13 +125,12 @@ def test_the_preview_of_a_clip_shows_the_time_that_the_scrubber_is_moved_to(chro
     root_quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(201, 1),
     joint_pos=lift[:, None],
   )
-  with Shown(clip_replay(preview_model(robot), motion), 0, chromium) as shown:
-    page = shown.page
+  with shown(clip_replay(preview_model(robot), motion), 0, chromium) as (viewer, playback, page):
     eventually(lambda: red(page).sum() > 1000, "the flag is not seen")
-    shown.pause()
+    pause(page, playback)
     for time, frame in ((0.4, 20), (3.2, 160)):
       slide(page, "Time [s]", time)
-      eventually(lambda frame=frame: shown.viewer.history[-1].data["qpos"][0, 7] == lift[frame].item())
+      eventually(lambda frame=frame: viewer.history[-1].data["qpos"][0, 7] == lift[frame].item())
       page.get_by_text(f"clip lift, frame {frame + 1} of 201, {time:.2f} s").wait_for()
       # The camera looks at the mast, in row 280: hanging, the flag is below it, standing level it is not.
       eventually(lambda is_level=frame > 100: is_seen(red(page), is_level), "it is seen elsewhere")

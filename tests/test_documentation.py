@@ -15,7 +15,7 @@ from mjlab_rl.offpolicy import fastsac, flashsac
 
 DOCS = pages.ROOT / "docs"
 BLOCK = re.compile(r"```python\n(.*?)```", re.DOTALL)
-# Tests of their own run the code of these pages.
+# Other tests run the code of these pages.
 RUN_ELSEWHERE = {DOCS / name for name in ("architecture.md", "extending.md", "own_robot.md")}
 RUN_ELSEWHERE |= set(DOCS.glob("tutorials/*.md"))
 

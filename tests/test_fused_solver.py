@@ -1,8 +1,5 @@
 """The fused solver against MuJoCo C on models of all task families, in states of a rollout."""
 
-import sys
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -10,10 +7,6 @@ import torch
 from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_sim.warp.fused_newton import FusedNewton, refusal
-
-# The problem is that of the solver's own tests.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "sim" / "tests"))
-
 from sim_problem import Problem
 
 TASKS = (

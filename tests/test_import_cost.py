@@ -1,4 +1,4 @@
-"""What a user waits for at every prompt imports neither torch nor a simulator."""
+"""Help and listings import neither torch nor a simulator."""
 
 import json
 import subprocess
@@ -13,12 +13,12 @@ HEAVY |= {"rich", "tyro", "viser"}
 
 
 def imported_by(statement: str) -> set[str]:
-  """Top-level modules that are loaded in a fresh interpreter after a statement."""
+  """Return the top-level modules that a fresh interpreter has after a statement."""
   return {name.partition(".")[0] for name in modules_after(statement)}
 
 
 def modules_after(statement: str) -> set[str]:
-  """All modules that are loaded in a fresh interpreter after a statement."""
+  """Return all modules that a fresh interpreter has after a statement."""
   report = f"{statement}\nimport json, sys\njson.dump(sorted(sys.modules), sys.stderr)"
   run = subprocess.run([sys.executable, "-c", report], capture_output=True, text=True, check=True)
   return set(json.loads(run.stderr.splitlines()[-1]))

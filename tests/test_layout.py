@@ -147,7 +147,7 @@ def test_prose_of_readmes_fits_130_columns() -> None:
 
 
 def test_nothing_of_the_workshop_is_left_in_the_repository() -> None:
-  # Absolute paths of somebody's machine, folders beside the clone, merge leftovers, and what writes code by itself.
+  # Absolute paths of a machine, folders beside the clone, merge leftovers, and names of assistants.
   assistants = "|".join(("clau" + "de", "anthro" + "pic", "copi" + "lot", "open" + "ai", "chat" + "gpt"))
   signs = re.compile(
     r"(?<![\w.)}>/-])/(?:work|root|home|tmp|mnt|Users)/\w"

@@ -44,7 +44,7 @@ def packed(model: mujoco.MjModel) -> np.ndarray:
 
 
 class Watchers:
-  """Everybody who can look: copies, a page with a film running, pictures."""
+  """All kinds of watching: snapshots, a page, a film and pictures."""
 
   def __init__(self, env: ManagerBasedRlEnv, folder: Path) -> None:
     self.env = env
@@ -95,7 +95,7 @@ class CountElements(TorchDispatchMode):
     return result
 
 
-def test_what_a_picture_costs_depends_on_the_worlds_shown_not_on_those_there_are() -> None:
+def test_the_cost_of_a_picture_depends_on_the_number_of_shown_worlds_alone() -> None:
   made = []
   for worlds in (8, 64):
     with make(TASK, num_envs=worlds, device="cpu") as env:
@@ -134,7 +134,7 @@ def test_the_contacts_of_a_snapshot_are_those_that_rewards_saw() -> None:
       contacts = taker.take(worlds, apart=True).contacts[row]
       for number, foot in enumerate(feet):
         on_ground = [contacts.force[contacts.geom[:, side] == foot].sum(axis=0) for side in (0, 1)]
-        # The foot's force on the ground: of contacts whose first geom it is, less those whose second.
+        # The force of the foot on the ground: contacts with the foot as first geom count positive, as second negative.
         np.testing.assert_allclose(
           on_ground[0] - on_ground[1], sensor.data.force[world, number].numpy(), rtol=1e-9, atol=1e-9
         )

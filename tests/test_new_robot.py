@@ -11,10 +11,8 @@ import pytest
 from mjlab.cli import main
 from mjlab_actuators import NativePositionActuatorCfg, NativeVelocityActuatorCfg, XmlActuatorCfg
 from mjlab_scene import Scene, SceneCfg
-from PIL import Image
-
-sys.path.insert(0, str(Path(__file__).parent))
 from new_package import install, run_tests
+from PIL import Image
 
 QUADRUPED = Path(__file__).parent / "models" / "quadruped.xml"
 
@@ -56,7 +54,7 @@ def written(name: str, text: str) -> Path:
 
 
 def module(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
-  """The package as its source, which no later test sees."""
+  """Import the package from its source, for this test alone."""
   monkeypatch.syspath_prepend(str(Path(name, "src").resolve()))
   for known in [known for known in sys.modules if known.partition(".")[0] == name]:
     monkeypatch.delitem(sys.modules, known)
@@ -99,7 +97,7 @@ def test_a_urdf_floats_if_two_chains_end_in_it_and_takes_its_effort_limits(
   assert {cfg.effort_limit for cfg in robot.ACTUATORS} == {60.0}
 
 
-def test_an_arm_keeps_its_servo_gains_and_what_drives_tendons(
+def test_an_arm_keeps_its_servo_gains_and_tendon_actuators(
   monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
   assert main(["new", "robot", str(written("arm.xml", ARM)), "--motors", "elbow=9,0.01,20"]) == 0

@@ -1,12 +1,9 @@
 """`mjlab new task` writes packages that build, install and train."""
 
-import sys
 from pathlib import Path
 
 import pytest
 from mjlab.cli import main
-
-sys.path.insert(0, str(Path(__file__).parent))
 from new_package import install, run_tests
 
 QUADRUPED = Path(__file__).parent / "models" / "quadruped.xml"

@@ -1,4 +1,4 @@
-"""Tests wait for conditions and drive frames and events. None measures time, which a busy machine stretches."""
+"""Tests wait for conditions and drive frames and events; they do not measure time."""
 
 import ast
 from collections.abc import Iterator

@@ -1,22 +1,17 @@
 """Every row of the catalogue that can be fitted comes back from an overlay file as it was fitted."""
 
 import json
-import sys
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from dr_everything import EVERYTHING, trial
 from mjlab_core import MjlabError
 from mjlab_dr import FIELDS
 from mjlab_scene import read_overlay
 from mjlab_sysid import FitTerm, parse_term, robot_on_ground
 from mjlab_sysid.worlds import Worlds
-
-# The tests of mjlab-dr have a model with something for every row.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "dr" / "tests"))
-
-from dr_everything import EVERYTHING, trial
 
 # Rows of actuator models are written into their configs, which a test of `sysid` covers.
 NOT_IN_THE_MODEL = ("stiffness", "damping", "effort_limit", "delay", "encoder_bias")
@@ -30,7 +25,7 @@ def can_be_fitted(name: str) -> bool:
   return name not in NOT_IN_THE_MODEL
 
 
-# Rows of which not every axis of every element can change by the same range.
+# Rows whose axes or elements cannot all change by the same range.
 NARROW = {
   "opt.wind": "opt.wind.x:option=0.5..1.5",
   "opt.magnetic": "opt.magnetic.y:option=-0.7..-0.4",
@@ -54,7 +49,7 @@ def term(name: str) -> FitTerm:
 
 
 @pytest.mark.parametrize("name", [name for name in FIELDS if can_be_fitted(name)])
-def test_what_was_fitted_is_in_the_model_with_the_overlay(name: str, tmp_path: Path) -> None:
+def test_fitted_numbers_are_in_the_model_with_the_overlay(name: str, tmp_path: Path) -> None:
   spec = mujoco.MjSpec.from_string(EVERYTHING)
   worlds = Worlds(robot_on_ground(spec, (), floor=None), 1)
   parameters = worlds.bind([term(name)], {})

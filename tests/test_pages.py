@@ -1,8 +1,6 @@
-"""The pages of commands, as somebody sees them who runs one and opens what it says."""
+"""The pages that commands serve."""
 
-import io
-import sys
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from types import MethodType
@@ -14,36 +12,18 @@ import pytest
 import torch
 from mjlab import cli
 from mjlab.cli import _watching
+from mjlab_command import running
 from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
 from mjlab_viewer import BrowserViewer
-from PIL import Image
 from playwright.sync_api import Browser, Locator, Page
-
-# Pages as the viewer's own tests drive them, of commands as those of mjlab run them.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
-
-from mjlab_command import running
-from viewer_page import closing_pages, eventually, headless_chromium, opened, slide, stepping
+from viewer_page import eventually, is_red, opened, pixels, slide, stepping
 
 DECIMATION = 2
 
 
-@pytest.fixture(scope="module")
-def launched() -> Iterator[Browser]:
-  with headless_chromium() as browser:
-    yield browser
-
-
-@pytest.fixture
-def chromium(launched: Browser) -> Iterator[Browser]:
-  with closing_pages(launched) as browser:
-    yield browser
-
-
 @contextmanager
 def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> Generator[Page]:
-  """The page that a command serves; it is interrupted at the end, and must have had no complaint until then."""
+  """Open the page that a command serves, and interrupt the command at the end, which must not have complained."""
   code = f"import sys; from mjlab.cli import {command} as run; sys.exit(run(sys.argv[1:]))"
   with running(code, *arguments, folder=folder, OMP_NUM_THREADS="1", PYTHONWARNINGS="error") as process:
     page = opened(chromium, process.wait_for(r"open (http://\S+) ")[1])
@@ -53,13 +33,12 @@ def page_of(chromium: Browser, folder: Path, command: str, *arguments: str) -> G
 
 
 def seen(page: Page) -> np.ndarray:
-  """What is seen left of the controls and below the notice, (height, width, 3)."""
-  return np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[140:460, :340, :3]
+  """Return the page left of the controls and below the notice, int (height, width, 3)."""
+  return pixels(page)[140:460]
 
 
 def red(page: Page) -> int:
-  image = seen(page)
-  return int(((image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1:].max(axis=2))).sum())
+  return is_red(seen(page)).sum()
 
 
 def row(page: Page, label: str) -> Locator:
@@ -69,7 +48,7 @@ def row(page: Page, label: str) -> Locator:
 
 
 def dump(folder: Path) -> Path:
-  """Four steps of two red boxes, of which the second got a velocity that no one has."""
+  """Write a dump of two red boxes, the second of which gets an infinite velocity."""
   spec = mujoco.MjSpec.from_string("""
     <mujoco>
       <statistic extent="2"/>
@@ -119,7 +98,7 @@ def test_viz_nan_shows_the_robot_and_steps_through_what_was_stored(chromium: Bro
     page.get_by_role("button", name="Step").click()
     page.get_by_text("before physics step 2 of 2 of environment step 2").wait_for()
     assert row(page, "Speed").locator("input").first.input_value() == "1/10"
-    # What was recorded cannot be pushed.
+    # Recorded worlds cannot be pushed.
     assert page.get_by_text("Push").count() == 0
     page.get_by_role("tab", name="Plots").click()
     page.get_by_text("qpos[2]").wait_for()
@@ -136,7 +115,7 @@ def test_the_demo_shows_a_robot_that_walks_on_command(chromium: Browser, tmp_pat
     forward.fill("0.8")
     forward.press("Enter")
     before = seen(page)
-    # The eye follows it over the lines of the floor.
+    # The camera follows it over the lines of the floor.
     eventually(lambda: (np.abs(seen(page) - before).max(axis=2) > 40).sum() > 1000, "nothing moves")
     page.get_by_role("tab", name="Plots").click()
     page.get_by_text("track_linear_velocity").first.wait_for()
@@ -160,8 +139,8 @@ def test_the_demo_lifts_to_where_the_sliders_of_its_page_say(
       page.get_by_label("Manual").check()
       for axis, place in zip("xyz", goal.tolist(), strict=True):
         slide(page, f"goal {axis} [m]", place)
-      eventually(lambda: torch.equal(command.command[1], goal), "the goal is not given by hand")
-      # What slipped away is tried again with the next goal.
+      eventually(lambda: torch.equal(command.command[1], goal), "the manual goal is not set")
+      # A cube that slipped away is tried again with the next goal.
       eventually(lambda: command.distance[1] < 0.05, "the cube is not lifted there")
       other.append(command.command[0].clone())
       page.close()

@@ -1,7 +1,6 @@
 """Task packages from elsewhere, written against the public API, train, play and are evaluated."""
 
 import re
-import sys
 from pathlib import Path
 
 import mjlab
@@ -9,8 +8,6 @@ import pytest
 from mjlab.cli import main
 from mjlab_core import RenderingError
 from mjlab_viewer.pictures.opengl import make_context
-
-sys.path.insert(0, str(Path(__file__).parent))
 from new_package import install
 
 PORTS = Path(__file__).parent / "ports"

@@ -2,7 +2,6 @@
 
 import dataclasses
 import runpy
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Literal
@@ -11,15 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from dr_everything import EVERYTHING, check_numbers, numbers, recompiled, trial, written_by
 from mjlab_dr import FIELDS, FieldRandomizer, RandomizeField, apply_all, followers_of, randomize_field
 from mjlab_scene import Scene, SceneCfg
 from mjlab_sim import PER_WORLD, Simulation, SimulationCfg
 from mjlab_sim.fields import closure
-
-# The model of the member's own tests.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "dr" / "tests"))
-
-from dr_everything import EVERYTHING, check_numbers, numbers, recompiled, trial, written_by
 
 IN_MODEL = [name for name in FIELDS if FIELDS[name].in_model]
 NUM_WORLDS = 4
@@ -61,7 +56,7 @@ def test_the_documented_table_is_the_one_in_the_code() -> None:
   assert document.read_text(encoding="utf-8") == catalogue_tool()["table"](), "run tools/write_catalogue.py"
 
 
-def test_what_the_catalogue_derives_is_expanded_with_its_source_by_the_simulation() -> None:
+def test_derived_fields_of_the_catalogue_are_expanded_with_their_source() -> None:
   model = mujoco.MjModel.from_xml_string(EVERYTHING)
   for name in IN_MODEL:
     assert set(followers_of(name)) & PER_WORLD <= set(closure(list(written_by(name)), model)), name
@@ -107,7 +102,7 @@ def test_a_field_first_randomised_after_steps_counts_from_the_next_step(engine: 
   speed = sim.data.qvel[:, 0].clone()
   sim.step()
   gained = sim.data.qvel[:, 0] - speed
-  # What pulls more makes faster, but for the air, and worlds outside of the mask go on together.
+  # A stronger pull makes faster, but for the air, and worlds outside of the mask stay alike.
   assert gained[1] == gained[3]
   assert torch.equal(gained.argsort(stable=True), pull.argsort(stable=True))
   torch.testing.assert_close((gained[[0, 2]] - gained[1]) / sim.timestep, pull[[0, 2]], rtol=0.2, atol=0.0)
@@ -235,11 +230,11 @@ ELSEWHERE = {
   *("actuator_forcerange", "actuator_actrange", "actuator_delay", "dof_solref", "dof_solimp"),
   *(name for name in TOGETHER if FIELDS[name].kind in ("camera", "light", "material")),
 }
-"""What the two poses do not show: what is seen rather than felt, and what acts under other circumstances."""
+"""Fields without effect in the two poses: fields of the appearance, and fields of other circumstances."""
 
 
 @pytest.mark.warp
-def test_both_engines_move_as_what_is_randomised_says() -> None:
+def test_each_randomised_field_moves_both_engines_alike() -> None:
   sims = [make_sim("native"), make_sim("warp")]
   terms = [[bound(name, sim, seed) for seed, name in enumerate(TOGETHER)] for sim in sims]
   parts = {part for name in TOGETHER for part in written_by(name)}

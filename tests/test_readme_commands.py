@@ -12,20 +12,11 @@ import pytest
 from mjlab import cli
 
 ROOT = Path(__file__).parents[1]
-DOCUMENTS = sorted(
-  [
-    ROOT / "README.md",
-    ROOT / "CONTRIBUTING.md",
-    *ROOT.glob("packages/*/*.md"),
-    *ROOT.glob("tasks/*/*.md"),
-    *ROOT.glob("docs/**/*.md"),
-  ]
-)
+# Another test runs the commands of tutorials.
+TUTORIALS = ROOT / "docs" / "tutorials"
+PATTERNS = ("README.md", "CONTRIBUTING.md", "packages/*/*.md", "tasks/*/*.md", "docs/**/*.md")
+DOCUMENTS = sorted(path for pattern in PATTERNS for path in ROOT.glob(pattern) if path.parent != TUTORIALS)
 SCRIPTS = tomllib.loads((ROOT / "packages/mjlab/pyproject.toml").read_text(encoding="utf-8"))["project"]["scripts"]
-
-
-# A test of their own runs the commands of tutorials.
-DOCUMENTS = [path for path in DOCUMENTS if path.parent != ROOT / "docs" / "tutorials"]
 
 
 def commands(document: Path) -> list[list[str]]:

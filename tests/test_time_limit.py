@@ -1,4 +1,4 @@
-"""Tests end: what stands still ends the run, and says where it stood."""
+"""The time limit of tests: a hanging test ends the run and is named."""
 
 import os
 import subprocess
@@ -26,7 +26,7 @@ def test_a_hanging_test_ends_the_run_and_is_named(code: str, where: str, tmp_pat
   file = tmp_path / "test_still.py"
   file.write_text(code)
   settings = ["-c", ROOT / "pyproject.toml", "-p", "conftest", "-p", "no:cacheprovider"]
-  # A busy machine may need longer to come to where it stands still.
+  # A busy machine may need longer to reach the hanging line.
   for seconds in (1, 5, 25, 125):
     run = subprocess.run(
       [sys.executable, "-m", "pytest", *settings, "-o", f"faulthandler_timeout={seconds}", file],

@@ -1,21 +1,14 @@
-"""A training that runs, as somebody sees it who opens the page that it serves."""
+"""The page that a training serves."""
 
 import csv
-import io
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
-
-# Commands and pages as the members' own tests drive them.
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "mjlab" / "tests"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "packages" / "viewer" / "tests"))
-
 from mjlab_command import running
-from viewer_page import eventually, headless_chromium, patient_page, press_until
+from playwright.sync_api import Browser
+from viewer_page import eventually, patient_page, pixels, press_until
 
 TRAIN = "import sys; from mjlab.cli import train; sys.exit(train(sys.argv[1:]))"
 FLAGS = """--viewer --viewer-port 8730 --device cpu --env.scene.num-envs 1 --agent.algorithm.num-mini-batches 1
@@ -23,23 +16,22 @@ FLAGS = """--viewer --viewer-port 8730 --device cpu --env.scene.num-envs 1 --age
 
 
 @pytest.mark.slow
-def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(tmp_path: Path) -> None:
+def test_the_page_of_a_training_shows_its_robots_and_rewards_while_it_goes_on(
+  chromium: Browser, tmp_path: Path
+) -> None:
   def iterations() -> int:
     (progress,) = tmp_path.rglob("progress.csv")
     return len(list(csv.reader(progress.read_text().splitlines())))
 
-  with (
-    headless_chromium() as chromium,
-    running(TRAIN, "Mjlab-Velocity-Flat-Unitree-Go1", *FLAGS, folder=tmp_path, OMP_NUM_THREADS="1") as training,
-  ):
+  with running(TRAIN, "Mjlab-Velocity-Flat-Unitree-Go1", *FLAGS, folder=tmp_path, OMP_NUM_THREADS="1") as training:
     page = patient_page(chromium)
     page.goto(training.wait_for(r"watch at (http://\S+)\n")[1])
 
     def picture() -> np.ndarray:
-      return np.asarray(Image.open(io.BytesIO(page.screenshot())))[140:460, :340, :3].astype(int)
+      return pixels(page)[140:460]
 
     page.get_by_role("tab", name="Controls").wait_for()
-    # More often than a page that loads changes.
+    # More often than a page changes while it loads.
     for _ in range(3):
       before = picture()
       eventually(lambda before=before: (np.abs(picture() - before).max(axis=2) > 40).sum() > 1000, "nothing moves")

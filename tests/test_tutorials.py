@@ -15,13 +15,13 @@ ROOT = Path(__file__).parents[1]
 TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("[0-9]*.md"))
 BLOCK = re.compile(r"```(python|bash|xml|csv)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"(?:# |<!-- )(mine/[\w.]+)")
-# These wait for somebody who watches.
+# These commands wait for a person.
 WATCHED = {"play", "demo", "tensorboard"}
 
 
 def run_command(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
   """Run `uv run COMMAND ...` in this process."""
-  # Nothing here is about how well a policy does.
+  # The performance of a policy does not matter here.
   line = re.sub(r"(--agent\.max-iterations) \d+", r"\1 2", line)
   words = shlex.split(line, comments=True)
   if words[:2] != ["uv", "run"] or WATCHED & set(words[2:5]) or (words[2] == "mjlab-deploy" and "--viewer" in words):
@@ -52,7 +52,7 @@ def test_everything_that_a_tutorial_shows_runs(tutorial: Path, tmp_path: Path, m
       if found := FILE.match(code):
         (tmp_path / found[1]).write_text(code, encoding="utf-8")
   known = set(sys.modules)
-  # The launcher of several processes leaves handlers of its own behind.
+  # The launcher of several processes leaves its signal handlers behind.
   handlers = {
     number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
   }

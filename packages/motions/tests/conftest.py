@@ -3,8 +3,8 @@ from pathlib import Path
 
 import torch
 
-# The oracle is a module beside the tests.
+# Tests share a robot and its motions.
 sys.path.insert(0, str(Path(__file__).parent))
 
-# Tiny tensors: a second thread would only wait for the first.
+# A second thread does not help with tiny tensors.
 torch.set_num_threads(1)

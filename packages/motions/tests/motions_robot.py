@@ -1,11 +1,15 @@
-"""The smallest robot that shows what motions are about: two legs, exact mirror images, and an arm that slides."""
+"""A small robot with two legs, exact mirror images, and an arm that slides; its motions, and their files."""
 
 import math
+from pathlib import Path
+from typing import Any
 
 import mujoco
+import numpy as np
 import torch
-from mjlab_motions.kinematics import Kinematics
+from mjlab_motions.kinematics import Kinematics, derived_arrays
 from mjlab_motions.motion import Motion
+from mjlab_motions.motion_file import save_motion
 
 LEG = """
 <body name="{side}_thigh" pos="0.02 {y} -0.05" euler="{tilt} 0 0">
@@ -42,7 +46,7 @@ def robot() -> Kinematics:
 
 
 def wiggle(frames: int = 60, rate: float = 50.0) -> Motion:
-  """A smooth motion of all joints and the root."""
+  """Return a smooth motion of all joints and the root."""
   t = torch.arange(frames, dtype=torch.float64) / rate
   names = robot().joint_names
   joints = torch.stack([0.3 * torch.sin((1.0 + 0.5 * i) * t + i) for i in range(len(names))], 1)
@@ -65,15 +69,26 @@ def wiggle(frames: int = 60, rate: float = 50.0) -> Motion:
 
 
 def constant(seconds: float = 1.0, height: float = 0.75, rate: float = 50.0) -> Motion:
-  """Standing still."""
-  names = robot().joint_names
-  frames = round(seconds * rate) + 1
-  return Motion(
-    name="still",
-    rate=rate,
-    root_body="pelvis",
-    joint_names=names,
-    root_pos=torch.tensor([[0.0, 0.0, height]], dtype=torch.float64).repeat(frames, 1),
-    root_quat=torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(frames, 1),
-    joint_pos=torch.zeros(frames, len(names), dtype=torch.float64),
-  )
+  """Return a motion that stands still."""
+  moving = wiggle(round(seconds * rate) + 1, rate)
+  pos, quat = torch.zeros_like(moving.root_pos), torch.zeros_like(moving.root_quat)
+  pos[:, 2], quat[:, 0] = height, 1.0
+  joints = torch.zeros_like(moving.joint_pos)
+  return moving.changed("", name="still", root_pos=pos, root_quat=quat, joint_pos=joints)
+
+
+def qpos_of(motion: Motion, quat: torch.Tensor | None = None) -> np.ndarray:
+  """Return root and joints in one array, with other quaternions if given."""
+  return torch.cat((motion.root_pos, motion.root_quat if quat is None else quat, motion.joint_pos), 1).numpy()
+
+
+def npz(path: Path, **arrays: Any) -> Path:
+  np.savez(path, **arrays)
+  return path
+
+
+def arrays_of(motion: Motion, path: Path) -> dict[str, Any]:
+  """Save a motion with its derived arrays, and return the arrays of the file."""
+  save_motion(motion, path, derived_arrays(motion, robot()))
+  with np.load(path) as file:
+    return dict(file)

@@ -1,4 +1,4 @@
-"""Motions in time, and what can be done to them, against closed forms and kinematics."""
+"""Velocities, resampling and editing of motions, against closed forms and kinematics."""
 
 import math
 
@@ -122,7 +122,7 @@ def test_joined_clips_go_on_where_and_as_the_first_ended() -> None:
   assert turn.max() < 3.0 * quat_error_magnitude(motion.root_quat[1:], motion.root_quat[:-1]).max()
 
 
-def test_joined_clips_need_not_have_their_joints_in_one_order() -> None:
+def test_joined_clips_may_differ_in_the_order_of_joints() -> None:
   motion = wiggle()
   other = motion.changed("", joint_pos=motion.joint_pos.flip(1), joint_names=motion.joint_names[::-1])
   joined = concatenate([motion, other])
@@ -137,7 +137,7 @@ def test_clips_that_do_not_fit_are_not_joined() -> None:
     concatenate([wiggle(), wiggle()], blend=9.0)
 
 
-def test_smoothing_weakens_a_sine_as_a_gaussian_does_and_keeps_what_does_not_move() -> None:
+def test_smoothing_weakens_a_sine_as_a_gaussian_does_and_keeps_constants() -> None:
   width, omega, rate = 0.05, 12.0, 200.0
   t = torch.arange(401, dtype=torch.float64) / rate
   motion = constant(2.0, rate=rate).changed("", joint_pos=torch.sin(omega * t)[:, None].repeat(1, 5))

@@ -1,4 +1,4 @@
-"""Motion files, and the formats of the field: what is written comes back, what is unsaid is proven or refused."""
+"""Motion files and other formats: round trips, proofs of unstated orders, and refusals."""
 
 import json
 from pathlib import Path
@@ -13,12 +13,11 @@ from mjlab_motions.kinematics import derived_arrays
 from mjlab_motions.motion import Motion
 from mjlab_motions.motion_file import load_motion, save_motion
 from mjlab_motions.statement import Statement
-from motions_robot import robot, wiggle
+from motions_robot import arrays_of, npz, qpos_of, robot, wiggle
 
 
 def written(motion: Motion, path: Path, quaternion: str = "wxyz", header: bool = False) -> Path:
-  quat = motion.root_quat.roll(-1, 1) if quaternion == "xyzw" else motion.root_quat
-  table = torch.cat((motion.root_pos, quat, motion.joint_pos), 1).numpy()
+  table = qpos_of(motion, motion.root_quat.roll(-1, 1) if quaternion == "xyzw" else None)
   names = ["x", "y", "z", "q0", "q1", "q2", "q3", *motion.joint_names]
   np.savetxt(path, table, delimiter=",", header=",".join(names) if header else "", comments="")
   return path
@@ -39,41 +38,28 @@ def refused(path: Path, message: str, **said: Any) -> None:
     read_motion(path, robot(), Statement(**said))
 
 
-def npz(path: Path, **arrays: Any) -> Path:
-  np.savez(path, **arrays)
-  return path
-
-
 def seven_keys(motion: Motion) -> dict[str, Any]:
   arrays: dict[str, Any] = derived_arrays(motion, robot())
   del arrays["body_names"]
   return {"fps": np.array([motion.rate]), "joint_pos": motion.joint_pos.numpy().astype(np.float32), **arrays}
 
 
-def arrays_of(path: Path) -> dict[str, Any]:
-  with np.load(path) as file:
-    return dict(file)
-
-
 def test_a_motion_file_gives_back_what_was_written(tmp_path: Path) -> None:
   motion = wiggle().changed("made for a test", source="here", license="Apache-2.0")
   path = tmp_path / "wiggle.npz"
-  save_motion(motion, path, derived_arrays(motion, robot()))
+  arrays = arrays_of(motion, path)
   back = load_motion(path)
   assert_same(back, motion)
   assert (back.name, back.source, back.license, back.history) == ("wiggle", "here", "Apache-2.0", ("made for a test",))
   assert_same(read_motion(path, robot()), motion)
   # A file may lack its history.
-  arrays: dict[str, Any] = arrays_of(path)
   metadata = json.loads(str(arrays["metadata"]))
   del metadata["history"]
   assert read_motion(npz(path, **arrays | {"metadata": np.array(json.dumps(metadata))}), robot()).history == ()
 
 
-def test_a_motion_file_says_what_it_is_to_whoever_opens_it_and_holds_the_seven_keys(tmp_path: Path) -> None:
-  path = tmp_path / "wiggle.npz"
-  save_motion(wiggle(), path, derived_arrays(wiggle(), robot()))
-  arrays = arrays_of(path)
+def test_a_motion_file_describes_itself_and_holds_the_seven_keys(tmp_path: Path) -> None:
+  arrays = arrays_of(wiggle(), tmp_path / "wiggle.npz")
   for word in ("rad", "(w, x, y, z)", "mjlab-motion"):
     assert word in str(arrays["metadata"])
   assert list(arrays["body_names"]) == list(robot().body_names)
@@ -84,9 +70,7 @@ def test_a_motion_file_says_what_it_is_to_whoever_opens_it_and_holds_the_seven_k
 
 def test_a_file_with_python_objects_is_refused_unread(tmp_path: Path) -> None:
   path = tmp_path / "pickled.npz"
-  save_motion(wiggle(), path)
-  pickled: dict[str, Any] = {**arrays_of(path), "joint_names": np.array([{"a": 1}], dtype=object)}
-  np.savez(path, **pickled)
+  npz(path, **arrays_of(wiggle(), path) | {"joint_names": np.array([{"a": 1}], dtype=object)})
   with pytest.raises(FileError, match="joint_names holds Python objects, which are not read"):
     load_motion(path)
 
@@ -95,7 +79,7 @@ def test_a_file_with_python_objects_is_refused_unread(tmp_path: Path) -> None:
 def test_a_damaged_file_is_named(tmp_path: Path, contents: bytes) -> None:
   path = tmp_path / "broken.npz"
   path.write_bytes(contents)
-  # NumPy takes what is no zip for a pickle, and tells how to run it.
+  # NumPy takes other files for pickles, and explains how to run them.
   with pytest.raises(MjlabError, match=r"broken\.npz: File is not a zip file"):
     load_motion(path)
 
@@ -119,14 +103,8 @@ def test_a_half_written_file_never_takes_the_place_of_a_whole_one(
 
 
 def rooted(quat: torch.Tensor, path: Path, key: str = "joint_pos") -> Path:
-  """An `.npz` with root and joints in one array."""
-  motion = wiggle()
-  arrays: dict[str, Any] = {
-    key: torch.cat((motion.root_pos, quat, motion.joint_pos), 1).numpy(),
-    "fps": np.array([50.0]),
-  }
-  np.savez(path, **arrays)
-  return path
+  """Write an `.npz` with root and joints in one array."""
+  return npz(path, **{key: qpos_of(wiggle(), quat)}, fps=np.array([50.0]))
 
 
 @pytest.mark.parametrize("order", ["wxyz", "xyzw"])
@@ -141,7 +119,7 @@ def test_the_order_of_quaternions_of_an_upright_clip_is_proven(tmp_path: Path, o
 
 @pytest.mark.parametrize("kind", ["csv", "npz"])
 def test_an_order_of_quaternions_that_cannot_be_proven_must_be_stated(tmp_path: Path, kind: str) -> None:
-  # Facing straight ahead, (0, 0, 0, 1) is upright in both readings: unturned, or turned round once.
+  # Both readings of (0, 0, 0, 1) are upright: unturned, and turned round once.
   motion = wiggle()
   ahead = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64).repeat(motion.num_frames, 1)
   if kind == "npz":
@@ -181,7 +159,7 @@ def test_a_header_may_be_quoted_commented_out_or_come_after_other_lines(tmp_path
     tmp_path / "wiggle.csv", header=True)  # fmt: skip
   header, _, rows = path.read_text().partition("\n")
   quoted = ",".join(f'"{name}"' for name in header.split(","))
-  for head in (quoted, f"# {header}", f"\n# made by hand\n\n{header}"):
+  for head in (quoted, f"# {header}", f"\n# a comment\n\n{header}"):
     path.write_text(f"{head}\n{rows}")
     back = read_motion(path, robot(), Statement(rate=50.0))
     torch.testing.assert_close(robot().columns_of(back), motion.joint_pos, atol=1e-9, rtol=0)
@@ -200,7 +178,7 @@ def test_a_header_may_be_quoted_commented_out_or_come_after_other_lines(tmp_path
     (b"1,2,3\n1,2\n", "number of columns changed"),
   ],
 )
-def test_a_csv_that_is_no_table_is_refused_by_name(tmp_path: Path, contents: bytes, message: str) -> None:
+def test_a_csv_without_a_table_is_refused_by_name(tmp_path: Path, contents: bytes, message: str) -> None:
   path = tmp_path / "odd.csv"
   path.write_bytes(contents)
   refused(path, rf"odd\.csv: .*({message})", rate=50.0)
@@ -223,29 +201,27 @@ def test_a_joint_map_renames_leaves_out_and_holds_joints(tmp_path: Path) -> None
 
 def test_a_mujoco_rollout_is_read_with_the_rate_of_its_times(tmp_path: Path) -> None:
   motion = wiggle()
-  qpos = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy()
-  path = npz(tmp_path / "rollout.npz", qpos=qpos, times=np.arange(motion.num_frames) / 50.0)
-  assert_same(read_motion(path, robot()), motion.changed("", rate=read_motion(path, robot()).rate))
-  assert read_motion(path, robot()).rate == pytest.approx(50.0)
-  np.savez(path, qpos=qpos, times=np.arange(motion.num_frames) ** 1.1)
-  refused(path, "not evenly spaced")
+  path = npz(tmp_path / "rollout.npz", qpos=qpos_of(motion), times=np.arange(motion.num_frames) / 50.0)
+  back = read_motion(path, robot())
+  assert_same(back, motion.changed("", rate=back.rate))
+  assert back.rate == pytest.approx(50.0)
 
 
 def test_a_file_with_the_root_in_front_of_named_joints_is_read_by_name(tmp_path: Path) -> None:
   motion = wiggle()
-  joints = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos.flip(1)), 1).numpy()
+  joints = qpos_of(motion.changed("", joint_pos=motion.joint_pos.flip(1)))
   arrays: dict[str, Any] = seven_keys(motion) | {"joint_pos": joints, "joint_names": np.array(motion.joint_names[::-1])}
   path = npz(tmp_path / "named.npz", **arrays)
   torch.testing.assert_close(robot().columns_of(read_motion(path, robot())), motion.joint_pos, atol=1e-9, rtol=0)
 
 
-def test_a_rollout_whose_quaternions_are_not_mujocos_is_refused(tmp_path: Path) -> None:
+def test_a_rollout_with_quaternions_of_another_order_is_refused(tmp_path: Path) -> None:
   path = rooted(wiggle().root_quat.roll(-1, 1), tmp_path / "rollout.npz", "qpos")
   refused(path, r"a qpos has w first, but only as xyzw it is upright.*--quaternion")
   assert_same(read_motion(path, robot(), Statement(quaternion="xyzw")), wiggle())
 
 
-def test_an_order_that_is_stated_is_never_passed_over(tmp_path: Path) -> None:
+def test_a_stated_order_is_never_ignored(tmp_path: Path) -> None:
   save_motion(wiggle(), tmp_path / "ours.npz")
   refused(tmp_path / "ours.npz", "the file has w first, --quaternion says xyzw", quaternion="xyzw")
   arrays = seven_keys(wiggle())
@@ -254,11 +230,10 @@ def test_an_order_that_is_stated_is_never_passed_over(tmp_path: Path) -> None:
   assert_same(read_motion(tmp_path / "seven.npz", robot(), Statement(quaternion="xyzw")), wiggle())
 
 
-def test_a_file_of_arrays_that_says_no_rate_needs_one(tmp_path: Path) -> None:
-  path = tmp_path / "seven.npz"
+def test_arrays_without_a_rate_need_a_stated_one(tmp_path: Path) -> None:
   arrays = seven_keys(wiggle())
   del arrays["fps"]
-  np.savez(path, **arrays)
+  path = npz(tmp_path / "seven.npz", **arrays)
   refused(path, "does not contain its rate; state it with --rate")
   assert read_motion(path, robot(), Statement(rate=50.0)).rate == 50.0
 
@@ -290,22 +265,17 @@ def test_a_seven_key_file_that_no_order_explains_is_refused(tmp_path: Path) -> N
   torch.testing.assert_close(robot().columns_of(back), wiggle().joint_pos, atol=1e-6, rtol=0)
 
 
-def test_a_body_whose_place_is_no_number_proves_no_order(tmp_path: Path) -> None:
-  arrays = seven_keys(wiggle())
-  arrays["body_pos_w"][:, -1] = np.nan
-  np.savez(tmp_path / "seven.npz", **arrays)
-  refused(tmp_path / "seven.npz", "no order of joints and bodies agrees", body_names=robot().body_names)
-
-
-def test_a_wrong_statement_about_bodies_is_refused(tmp_path: Path) -> None:
-  path = npz(tmp_path / "seven.npz", **seven_keys(wiggle()))
-  names = list(robot().body_names)
+def test_swapped_bodies_and_positions_that_are_not_finite_prove_no_order(tmp_path: Path) -> None:
+  arrays, names = seven_keys(wiggle()), list(robot().body_names)
+  path = npz(tmp_path / "seven.npz", **arrays)
   assert_same(read_motion(path, robot(), Statement(body_names=names)), wiggle())
-  names[1], names[3] = names[3], names[1]
-  refused(path, "no order of joints and bodies agrees", body_names=names)
+  swapped = [names[index] for index in (0, 3, 2, 1, 4, 5)]
+  refused(path, "no order of joints and bodies agrees", body_names=swapped)
+  arrays["body_pos_w"][:, -1] = np.nan
+  refused(npz(path, **arrays), "no order of joints and bodies agrees", body_names=names)
 
 
-def test_bodies_that_say_nothing_about_some_joints_do_not_prove_their_order(tmp_path: Path) -> None:
+def test_bodies_without_relation_to_a_joint_do_not_prove_its_order(tmp_path: Path) -> None:
   arrays: dict[str, Any] = seven_keys(wiggle())
   few = [robot().body_names.index(name) for name in ("pelvis", "left_thigh", "right_thigh", "arm")]
   arrays |= {key: value[:, few] for key, value in arrays.items() if key.startswith("body")}
@@ -314,25 +284,22 @@ def test_bodies_that_say_nothing_about_some_joints_do_not_prove_their_order(tmp_
   refused(path, r"without body 'left_shin' .*--joint-names")
   assert_same(read_motion(path, robot(), Statement(joint_names=robot().joint_names)), wiggle())
   arrays["body_names"] = np.array(["pelvis", "arm", "arm", "arm"])
-  np.savez(path, **arrays)
-  refused(path, "4 names, 2 different ones, for 4 bodies")
+  refused(npz(path, **arrays), "4 names, 2 different ones, for 4 bodies")
 
 
 @pytest.mark.parametrize("kind", ["ours", "seven keys", "rollout"])
-def test_arrays_that_are_not_what_their_key_says_are_refused_by_name(tmp_path: Path, kind: str) -> None:
+def test_arrays_of_a_wrong_type_or_shape_are_refused_by_name(tmp_path: Path, kind: str) -> None:
   motion = wiggle()
   path = tmp_path / "odd.npz"
   arrays: dict[str, Any]
   if kind == "ours":
-    save_motion(motion, path, derived_arrays(motion, robot()))
-    arrays = arrays_of(path)
+    arrays = arrays_of(motion, path)
     keys = "fps", "joint_names", "root_pos_w", "root_quat_w", "joint_pos", "body_names", "body_pos_w", "body_quat_w"
   elif kind == "seven keys":
     arrays = seven_keys(motion) | {"joint_names": np.array(motion.joint_names)}
     keys = "fps", "joint_names", "joint_pos", "body_pos_w", "body_quat_w"
   else:
-    qpos = torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy()
-    arrays = {"qpos": qpos, "times": np.arange(60) / 50.0}
+    arrays = {"qpos": qpos_of(motion), "times": np.arange(60) / 50.0}
     keys = "qpos", "times"
   for key in keys:
     # No axes, words or numbers where there should be the other, nothing, one frame less, and no longer real.
@@ -345,8 +312,7 @@ def test_arrays_that_are_not_what_their_key_says_are_refused_by_name(tmp_path: P
     for other in odd:
       if key == "joint_names" and other.dtype.kind == "U":
         continue
-      changed: dict[str, Any] = {**arrays, key: other}
-      np.savez(path, **changed)
+      npz(path, **arrays | {key: other})
       with pytest.raises(MjlabError, match=r"odd|wiggle"):
         read_motion(path, robot())
 
@@ -355,22 +321,17 @@ def test_arrays_that_are_not_what_their_key_says_are_refused_by_name(tmp_path: P
   ("times", "message"),
   [
     (np.zeros(60), "not evenly spaced"),
+    (np.arange(60) ** 1.1, "not evenly spaced"),
     (np.full(60, np.nan), "not evenly spaced"),
     (-np.arange(60.0), "not evenly spaced"),
     (np.arange(20) / 50.0, "does not contain its rate"),
   ],
 )
-def test_times_that_cannot_be_those_of_the_frames_are_refused(tmp_path: Path, times: np.ndarray, message: str) -> None:
-  motion = wiggle()
-  path = npz(
-    tmp_path / "rollout.npz",
-    qpos=torch.cat((motion.root_pos, motion.root_quat, motion.joint_pos), 1).numpy(),
-    times=times,
-  )
-  refused(path, message)
+def test_impossible_times_of_frames_are_refused(tmp_path: Path, times: np.ndarray, message: str) -> None:
+  refused(npz(tmp_path / "rollout.npz", qpos=qpos_of(wiggle()), times=times), message)
 
 
-def test_bodies_of_another_model_in_a_motion_file_are_noticed(tmp_path: Path) -> None:
+def test_bodies_of_another_model_in_a_motion_file_are_refused(tmp_path: Path) -> None:
   derived = derived_arrays(wiggle(), robot())
   derived["body_pos_w"][:, 2] += 0.03
   path = tmp_path / "other.npz"
@@ -387,6 +348,6 @@ def test_bodies_of_another_model_in_a_motion_file_are_noticed(tmp_path: Path) ->
     ({"root_pos": wiggle().root_pos[:59]}, "shape"),
   ],
 )
-def test_a_motion_that_makes_no_sense_is_refused(change: dict, message: str) -> None:
+def test_an_impossible_motion_is_refused(change: dict, message: str) -> None:
   with pytest.raises(MjlabError, match=message):
     wiggle().changed("broken", **change)

@@ -95,5 +95,5 @@ def test_a_motion_of_another_robot_is_refused_by_name() -> None:
 
 def test_joints_are_placed_by_name_not_by_order() -> None:
   motion = wiggle()
-  backwards = motion.changed("turned round", joint_names=motion.joint_names[::-1], joint_pos=motion.joint_pos.flip(1))
+  backwards = motion.changed("reversed", joint_names=motion.joint_names[::-1], joint_pos=motion.joint_pos.flip(1))
   assert torch.equal(robot().columns_of(backwards), motion.joint_pos)

@@ -1,4 +1,4 @@
-"""Clip libraries: what a name means, where frames and bins are, what weights do."""
+"""Clip libraries: names, frames, bins and weights."""
 
 import json
 from pathlib import Path
@@ -55,7 +55,7 @@ def test_a_clip_of_another_rate_plays_at_its_own_speed() -> None:
   torch.testing.assert_close(lib.table[:, lib.columns["joint_pos"]], resample(motion, 50.0).joint_pos)
 
 
-def test_each_frame_but_the_last_is_in_the_bin_that_says_so() -> None:
+def test_each_frame_but_the_last_is_within_the_bounds_of_its_bin() -> None:
   lib = library(*(wiggle(frames=n) for n in (4, 51, 130, 77)))
   assert lib.bin_counts.tolist() == [1, 1, 3, 2]
   for clip in range(lib.num_clips):
@@ -65,7 +65,7 @@ def test_each_frame_but_the_last_is_in_the_bin_that_says_so() -> None:
     assert (lib.bin_first[bins] <= frames).all()
     assert (frames < lib.bin_end[bins]).all()
     assert bins.unique().numel() == lib.bin_counts[clip]
-    # The last frame ends no episode that went on; it counts where the one before does.
+    # The last frame counts in the bin of the frame before.
     assert lib.bin_of(torch.tensor([clip]), lib.lengths[clip : clip + 1] - 1) == bins[-1]
 
 
@@ -103,7 +103,7 @@ def test_a_mistake_in_the_index_is_named(folder: Path, index: object, message: s
     find_clips(str(folder))
 
 
-def test_a_name_that_means_nothing_is_refused(folder: Path) -> None:
+def test_an_unknown_name_is_refused(folder: Path) -> None:
   with pytest.raises(MjlabError, match=r"motion 'squat' does not exist\. Nearest: squat_and_wave"):
     find_clips("squat")
   (folder / "a.csv").write_text("0,0,1")
@@ -115,6 +115,6 @@ def test_a_name_that_means_nothing_is_refused(folder: Path) -> None:
     MotionLibrary([constant()], robot(), ["right_shine"], rate=50.0)
 
 
-def test_clips_that_ship_are_found_by_name() -> None:
+def test_shipped_clips_are_found_by_name() -> None:
   for name, path in shipped_clips().items():
     assert [entry.path for entry in find_clips(name)] == [path]

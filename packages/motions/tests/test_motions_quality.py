@@ -1,4 +1,4 @@
-"""The quality report: each fault, made on purpose, is found by its check alone, with its size."""
+"""The quality report: its checks find each deliberate fault with its size."""
 
 import math
 from pathlib import Path
@@ -24,7 +24,7 @@ def faults(motion: Motion) -> set[str]:
 
 
 def lifted(motion: Motion, height: torch.Tensor) -> Motion:
-  """With the root raised by (frames,) [m]."""
+  """Raise the root by `height`, (frames,) [m]."""
   up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
   return motion.changed("lifted", root_pos=motion.root_pos + height[:, None] * up)
 

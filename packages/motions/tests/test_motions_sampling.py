@@ -1,4 +1,4 @@
-"""Where episodes start: against a NumPy reference, for any number of worlds, across saving."""
+"""Starts of episodes: against a NumPy reference, for any number of worlds, across saving."""
 
 from typing import Any
 
@@ -24,7 +24,7 @@ def sampler(num_envs: int = 4, mode: SamplingMode = "adaptive", **cfg: Any) -> M
 
 
 def play(books: MotionSampler, steps: int, copies: int = 1, seed: int = 0) -> list[tuple[np.ndarray, ...]]:
-  """Random visits and failures in 4 times `copies` worlds, each group the same; returns what happened to four."""
+  """Count random visits and failures in `copies` equal groups of 4 worlds, and return the events of one group."""
   rng = np.random.default_rng(seed)
   happened = []
   for _ in range(steps):
@@ -40,7 +40,7 @@ def play(books: MotionSampler, steps: int, copies: int = 1, seed: int = 0) -> li
 
 
 def reference(happened: list[tuple[np.ndarray, ...]], cfg: AdaptiveSamplingCfg) -> np.ndarray:
-  """Probabilities of bins by the definition, one step and one world after the other."""
+  """Return probabilities of bins by the definition, step by step and world by world."""
   first_bin, counts, lengths = [0, 3, 4], [3, 1, 2], np.array(FRAMES)
   edges = [[(n - 1) * i // c for i in range(c + 1)] for n, c in zip(lengths, counts, strict=True)]
   visits, failures = np.zeros(6), np.zeros(6)
@@ -74,7 +74,7 @@ def test_probabilities_are_those_of_the_definition(lookahead: int) -> None:
   expected = reference(play(books, 400), cfg)
   np.testing.assert_allclose(books.probabilities(), expected, rtol=1e-4)
   assert books.probabilities().sum() == pytest.approx(1.0)
-  # It has learned something: the third clip fails most.
+  # The third clip fails most.
   assert books.probabilities()[4:].sum() > 1.3 * books.library.bin_share[4:].sum()
 
 
@@ -83,12 +83,12 @@ def test_the_number_of_worlds_changes_nothing() -> None:
   play(few, 50)
   play(many, 50, copies=64)
   torch.testing.assert_close(few.probabilities(), many.probabilities(), atol=1e-6, rtol=1e-5)
-  # The books themselves, so that those of many worlds go on in few as they would have.
+  # The counts themselves, so that those of many worlds go on in few.
   for name, value in few.state_dict().items():
     torch.testing.assert_close(value, many.state_dict()[name], atol=1e-8, rtol=1e-5)
 
 
-def test_a_bin_that_is_visited_more_but_fails_as_often_per_visit_looks_no_harder() -> None:
+def test_the_failure_rate_of_a_bin_does_not_depend_on_its_visits() -> None:
   books = sampler(8, memory=0.01, prior=1e-6, lookahead=1)
   # Seven worlds in the first bin, one in the second; a seventh of the first and one in seven steps of the second fail.
   clip, frame = torch.zeros(8, dtype=torch.int64), torch.tensor([10] * 7 + [60])
@@ -103,34 +103,32 @@ def test_a_bin_that_is_visited_more_but_fails_as_often_per_visit_looks_no_harder
   assert rates[1] == pytest.approx(1 / 7, rel=0.05)
 
 
-def test_before_anything_is_known_all_moments_are_alike() -> None:
+def test_before_any_failure_all_moments_are_equally_likely() -> None:
   books = sampler()
   torch.testing.assert_close(books.probabilities(), books.library.bin_share)
 
 
-def test_failures_raise_the_odds_of_starting_before_them_and_never_in_the_clip_before() -> None:
-  books = sampler(1, lookahead=3, memory=1e-5)
-  everywhere = [(c, f) for c, n in enumerate(FRAMES) for f in range(0, n - 1, 10)]
-  for clip, frame in everywhere:
-    books.count_step(torch.tensor([clip]), torch.tensor([frame]), torch.tensor([True]))
-  failed = torch.tensor([True])
-  books.count_ends(torch.tensor([1]), torch.tensor([20]), failed, failed)
-  books.count_step(torch.tensor([1]), torch.tensor([20]), torch.tensor([True]))
-  p = books.probabilities() / books.library.bin_share
+def test_failures_raise_the_odds_of_starts_before_them_in_their_clip_alone() -> None:
+  yes = torch.tensor([True])
+
+  def odds_after_failure(clip: int, frame: int) -> torch.Tensor:
+    books = sampler(1, lookahead=3, memory=1e-5)
+    for c, f in [(c, f) for c, n in enumerate(FRAMES) for f in range(0, n - 1, 10)]:
+      books.count_step(torch.tensor([c]), torch.tensor([f]), yes)
+    books.count_ends(torch.tensor([clip]), torch.tensor([frame]), yes, yes)
+    books.count_step(torch.tensor([clip]), torch.tensor([frame]), yes)
+    return books.probabilities() / books.library.bin_share
+
+  p = odds_after_failure(1, 20)
   # The only bin of the second clip failed; those of the first, just before it in memory, did not.
   assert p[3] > 2.0 * p[2]
   assert p[:3].tolist() == pytest.approx([p[0].item()] * 3, rel=1e-3)
-  books = sampler(1, lookahead=3, memory=1e-5)
-  for clip, frame in everywhere:
-    books.count_step(torch.tensor([clip]), torch.tensor([frame]), torch.tensor([True]))
-  books.count_ends(torch.tensor([0]), torch.tensor([149]), failed, failed)
-  books.count_step(torch.tensor([0]), torch.tensor([149]), torch.tensor([True]))
-  p = books.probabilities() / books.library.bin_share
+  p = odds_after_failure(0, 149)
   assert p[2] > p[1] > p[0] > p[4]
 
 
 @pytest.mark.parametrize("mode", ["adaptive", "uniform", "start"])
-def test_starts_are_within_clips_with_a_frame_to_come_and_as_likely_as_they_should(mode: SamplingMode) -> None:
+def test_starts_are_before_the_last_frame_with_the_probabilities_of_their_mode(mode: SamplingMode) -> None:
   books = sampler(200_000, mode)
   clip, frame = books.draw(torch.Generator().manual_seed(0))
   assert (frame >= 0).all()
@@ -146,7 +144,7 @@ def test_starts_are_within_clips_with_a_frame_to_come_and_as_likely_as_they_shou
     assert (counts - expected).abs().max() < 5.0 * expected**0.5
 
 
-def test_books_go_on_from_where_they_were_saved() -> None:
+def test_sampling_goes_on_from_saved_counts() -> None:
   whole, first, second = sampler(), sampler(), sampler()
   play(whole, 20, seed=1)
   play(whole, 20, seed=2)
@@ -157,27 +155,20 @@ def test_books_go_on_from_where_they_were_saved() -> None:
   assert not torch.equal(whole.probabilities(), first.probabilities())
 
 
-def test_a_reset_by_hand_forgets_nothing() -> None:
-  books = sampler()
-  play(books, 20)
-  before = books.state_dict()
-  nobody = torch.zeros(4, dtype=torch.bool)
-  books.count_step(torch.zeros(4, dtype=torch.int64), torch.zeros(4, dtype=torch.int64), nobody)
-  assert all(torch.equal(value, before[name]) for name, value in books.state_dict().items())
-
-
-def test_what_ends_in_a_reset_by_hand_is_counted_in_the_next_step() -> None:
-  at_once, by_hand = sampler(), sampler()
+@pytest.mark.parametrize("has_ends", [False, True])
+def test_a_manual_reset_changes_no_counts_and_its_ends_count_in_the_next_step(has_ends: bool) -> None:
+  without, with_reset = sampler(), sampler()
   clip, frame = torch.tensor([0, 1, 2, 2]), torch.tensor([10, 5, 20, 90])
-  ended = torch.tensor([True, False, True, False])
-  failed, nobody = torch.tensor([True, False, False, False]), torch.zeros(4, dtype=torch.bool)
-  for books in (at_once, by_hand):
-    play(books, 5)
-    books.count_ends(clip, frame, ended, failed)
-  by_hand.count_step(clip, frame, nobody)
-  for books in (at_once, by_hand):
-    books.count_step(clip, frame, ~ended)
-  assert all(torch.equal(value, by_hand.state_dict()[name]) for name, value in at_once.state_dict().items())
+  ended, none = torch.tensor([True, False, True, False]), torch.zeros(4, dtype=torch.bool)
+  for books in (without, with_reset):
+    play(books, 20)
+    if has_ends:
+      books.count_ends(clip, frame, ended, torch.tensor([True, False, False, False]))
+  with_reset.count_step(clip, frame, none)
+  if has_ends:
+    for books in (without, with_reset):
+      books.count_step(clip, frame, ~ended)
+  assert all(torch.equal(value, with_reset.state_dict()[name]) for name, value in without.state_dict().items())
 
 
 def test_the_log_has_each_clip_and_each_second_of_it() -> None:
@@ -193,7 +184,7 @@ def test_the_log_has_each_clip_and_each_second_of_it() -> None:
 
 
 @pytest.mark.parametrize("change", [{"uniform_share": 0.0}, {"memory": 2.0}, {"prior": 0.0}, {"lookahead": 0}])
-def test_settings_that_make_no_sense_are_named(change: dict[str, Any]) -> None:
+def test_impossible_settings_are_named(change: dict[str, Any]) -> None:
   (name,) = change
   (problem,) = field_problems(AdaptiveSamplingCfg(**change))
   assert problem.startswith(f"{name} must be")

@@ -1,4 +1,4 @@
-"""Files of strangers: sizes are read before data, texts stay on one line, and every mistake is one error."""
+"""Hostile files: sizes are read before data, texts stay on one line, and every mistake is one error."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from mjlab_core.errors import FileError, MjlabError
 from mjlab_core.npz import Npz
 from mjlab_motions import Motion, Statement, derived_arrays, find_clips, load_motion, read_motion, resample, save_motion
 from mjlab_motions.clips import MAX_BYTES
-from motions_robot import constant, robot, wiggle
+from motions_robot import arrays_of, constant, npz, qpos_of, robot, wiggle
 
 EVIL = "\x1b[2J\nerror: disk erased\r\x07"
 PEAK = 32 * 2**20  # bytes
@@ -55,14 +55,8 @@ def archive(path: Path, members: dict[str, Member]) -> Path:
   return path
 
 
-def arrays_of(motion: Motion, folder: Path) -> dict[str, Any]:
-  save_motion(motion, folder / "arrays.npz", derived_arrays(motion, robot()))
-  with np.load(folder / "arrays.npz") as file:
-    return dict(file)
-
-
 def peak(call: Callable[[], object]) -> int:
-  """Memory that a call takes at most [bytes]."""
+  """Return the peak memory of a call [bytes]."""
   tracemalloc.start()
   try:
     call()
@@ -98,7 +92,7 @@ def test_an_array_is_refused_by_its_header(tmp_path: Path, start: bytes, message
 
 
 def test_a_name_that_unpacks_to_gigabytes_is_refused_by_its_header(tmp_path: Path) -> None:
-  arrays = {name: member(value) for name, value in arrays_of(wiggle(), tmp_path).items()}
+  arrays = {name: member(value) for name, value in arrays_of(wiggle(), tmp_path / "arrays.npz").items()}
   text = bomb(header((), "<U500000000"), 2**31)
   assert (
     peak(lambda: refused(archive(tmp_path / "a.npz", {**arrays, "root_body": text}), "the limit is for a text")) < PEAK
@@ -109,7 +103,7 @@ def test_a_name_that_unpacks_to_gigabytes_is_refused_by_its_header(tmp_path: Pat
 
 
 def test_a_member_that_is_not_needed_is_not_unpacked(tmp_path: Path) -> None:
-  arrays = {name: member(value) for name, value in arrays_of(wiggle(), tmp_path).items()}
+  arrays = {name: member(value) for name, value in arrays_of(wiggle(), tmp_path / "arrays.npz").items()}
   pictures = bomb(header((3 * 2**27,)), 3 * 2**30)
   path = archive(tmp_path / "clip.npz", {"pictures": pictures, **arrays, "joint_vel": pictures})
   assert peak(lambda: read_motion(path, robot())) < PEAK
@@ -141,23 +135,20 @@ def test_a_line_of_a_csv_has_a_limit(tmp_path: Path) -> None:
 
 # Class: a rate out of bounds becomes a length that no memory holds.
 @pytest.mark.parametrize("rate", [1e-9, 1e-320, 0.0, -50.0, 0.999, 10_001.0, 1e300, np.inf, np.nan])
-def test_a_rate_out_of_bounds_is_refused_wherever_it_comes_from(tmp_path: Path, rate: float) -> None:
-  ours = arrays_of(wiggle(), tmp_path)
+def test_a_rate_out_of_bounds_is_refused_from_every_source(tmp_path: Path, rate: float) -> None:
+  ours = arrays_of(wiggle(), tmp_path / "arrays.npz")
   theirs = {name: ours[name] for name in ("joint_pos", "joint_vel", "body_pos_w", "body_quat_w", "joint_names")}
-  qpos = np.concatenate((ours["root_pos_w"], ours["root_quat_w"], ours["joint_pos"]), 1)
+  qpos = qpos_of(wiggle())
   np.savetxt(tmp_path / "clip.csv", qpos, delimiter=",")
   for arrays in (ours, theirs):
-    changed: dict[str, Any] = {**arrays, "fps": np.array([rate])}
-    np.savez(tmp_path / "clip.npz", **changed)
     with pytest.raises(MjlabError, match=r"rate must be"):
-      read_motion(tmp_path / "clip.npz", robot())
+      read_motion(npz(tmp_path / "clip.npz", **arrays | {"fps": np.array([rate])}), robot())
   with pytest.raises(MjlabError, match=r"rate must be"):
     read_motion(tmp_path / "clip.csv", robot(), Statement(rate=rate))
   with np.errstate(all="ignore"):
     times = np.arange(60) / np.float64(rate)
-  np.savez(tmp_path / "clip.npz", qpos=qpos, times=times)
   with pytest.raises(MjlabError, match=r"rate must be|not evenly spaced"):
-    read_motion(tmp_path / "clip.npz", robot())
+    read_motion(npz(tmp_path / "clip.npz", qpos=qpos, times=times), robot())
   with pytest.raises(MjlabError, match=r"rate must be"):
     resample(wiggle(), rate)
 
@@ -187,15 +178,15 @@ def test_resampling_refuses_more_frames_than_a_motion_may_have() -> None:
   ],
 )
 def test_metadata_are_right_or_refused_or_those_of_another_format(tmp_path: Path, metadata: str, message: str) -> None:
-  arrays: dict[str, Any] = {**arrays_of(wiggle(), tmp_path), "metadata": np.array(metadata)}
-  np.savez(tmp_path / "odd.npz", **arrays)
+  path = tmp_path / "odd.npz"
+  npz(path, **arrays_of(wiggle(), path) | {"metadata": np.array(metadata)})
   if message:
-    refused(tmp_path / "odd.npz", message)
+    refused(path, message)
   else:
     # The arrays alone are those of another tool.
-    assert read_motion(tmp_path / "odd.npz", robot()).num_frames == 60
+    assert read_motion(path, robot()).num_frames == 60
     with pytest.raises(FileError, match="not a motion file"):
-      load_motion(tmp_path / "odd.npz")
+      load_motion(path)
 
 
 def test_texts_of_a_motion_have_neither_line_breaks_nor_control_characters(tmp_path: Path) -> None:
@@ -207,9 +198,8 @@ def test_texts_of_a_motion_have_neither_line_breaks_nor_control_characters(tmp_p
     assert all(word.isprintable() for word in words)
     assert motion.name.strip() == "[2J error: disk erased"
   metadata = {"format": "mjlab-motion", "version": 1, "name": EVIL, "source": EVIL, "history": [EVIL]}
-  texts: dict[str, Any] = {"metadata": np.array(json.dumps(metadata)), EVIL: np.zeros(3)}
-  arrays: dict[str, Any] = {**arrays_of(wiggle(), tmp_path), **texts}
-  np.savez(tmp_path / "evil.npz", **arrays)
+  texts = {"metadata": np.array(json.dumps(metadata)), EVIL: np.zeros(3)}
+  npz(tmp_path / "evil.npz", **arrays_of(wiggle(), tmp_path / "evil.npz") | texts)
   assert read_motion(tmp_path / "evil.npz", robot()).history[0].isprintable()
   assert Npz(tmp_path / "evil.npz", MAX_BYTES).names.isprintable()
 

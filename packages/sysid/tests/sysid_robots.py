@@ -1,4 +1,4 @@
-"""Small robots on stands, and records of them that MuJoCo's own loop makes."""
+"""Small robots on stands, and their records from a loop of MuJoCo."""
 
 import copy
 from collections.abc import Callable, Mapping
@@ -49,17 +49,15 @@ def arm(actuators: tuple[ActuatorCfg, ...] = SERVOS, is_free: bool = False, **st
 
 
 def changed(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
-  """Model of the robot with fields of elements multiplied: {"dof_armature:hip": 1.5}."""
+  """Return the model with fields of elements multiplied: {"dof_armature:hip": 1.5}."""
   model = copy.copy(robot.model)
   for name, factor in factors.items():
     field, element = name.split(":")
-    if field == "stiffness":
-      index = model.actuator(element).id
-      model.actuator_gainprm[index, 0] *= factor
-      model.actuator_biasprm[index, 1] *= factor
-      continue
-    if field == "damping":
-      model.actuator_biasprm[model.actuator(element).id, 2] *= factor
+    if field in ("stiffness", "damping"):
+      actuator = model.actuator(element)
+      if field == "stiffness":
+        actuator.gainprm[0] *= factor
+      actuator.biasprm[1 if field == "stiffness" else 2] *= factor
       continue
     kind = "joint" if field.startswith("dof") else field.partition("_")[0]
     index = model.joint(element).dofadr[0] if kind == "joint" else getattr(model, kind)(element).id
@@ -69,7 +67,7 @@ def changed(robot: Robot, factors: Mapping[str, float]) -> mujoco.MjModel:
 
 
 def sines(robot: Robot, seed: int, seconds: float, size: float = 0.12) -> np.ndarray:
-  """Targets at every row: sums of sines about the pose that begin there."""
+  """Return targets of every row: sums of sines about the pose, which is the first row."""
   random = np.random.default_rng(seed)
   addresses, _ = robot.addresses(robot.joints)
   count = len(robot.joints)
@@ -93,9 +91,9 @@ def record(
   signals: tuple[str, ...] = ("position", "velocity"),
   law: Callable[..., np.ndarray] | None = None,
 ) -> Record:
-  """Record of a model, stepped alone; `delay` in timesteps, `bias` of all encoders; signal "imu" is both of it.
+  """Record a model; `delay` in timesteps, `bias` of all encoders, signal "imu" for both signals of the IMU.
 
-  `law` of targets, positions and velocities gives the controls of motors; without it targets are controls.
+  `law` of targets, positions and velocities gives the controls of motors; without it, targets are controls.
   """
   data = mujoco.MjData(model)
   data.qpos[:] = robot.pose

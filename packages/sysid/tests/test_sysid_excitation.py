@@ -1,4 +1,4 @@
-"""Excitations tell more than a slow sine does, and stay within the limits of the robot."""
+"""Excitations give more information than a slow sine, within the limits of the robot."""
 
 import dataclasses
 from typing import Any
@@ -36,9 +36,8 @@ def test_the_smallest_singular_value_rises(designed: tuple[Robot, Excitation]) -
 def test_mujoco_follows_the_commands_within_all_limits(designed: tuple[Robot, Excitation]) -> None:
   robot, found = designed
   assert set(found.commands.signals) == {"position_target"}
-  made = record(
-    robot, robot.model, found.commands.signals["position_target"], signals=("position", "velocity", "effort")
-  )
+  commands = found.commands.signals["position_target"]
+  made = record(robot, robot.model, commands, signals=("position", "velocity", "effort"))
   np.testing.assert_allclose(made.signals["position"], found.record.signals["position"], atol=1e-6)
   share = CFG.share * (1.0 + 1e-6)
   assert np.abs(made.signals["velocity"]).max() <= share * 5.0
@@ -47,12 +46,10 @@ def test_mujoco_follows_the_commands_within_all_limits(designed: tuple[Robot, Ex
     low, high = robot.ranges()[name]
     middle = robot.pose[robot.addresses([name])[0]]
     assert np.abs(made.signals["position"][:, column] - middle).max() <= share * min(high - middle, middle - low)
-  # Something is at its limit: the excitation is as large as it may be.
+  # The excitation is as large as a limit allows.
   fast = [peak for peak in found.peaks if peak.signal != "position"]
   assert max(max(-peak.lowest, peak.highest) / peak.limits[1] for peak in fast) > 0.6 * CFG.share
-  np.testing.assert_allclose(
-    found.commands.signals["position_target"][[0, -1]], robot.pose[None].repeat(2, 0), atol=1e-9
-  )
+  np.testing.assert_allclose(commands[[0, -1]], robot.pose[None].repeat(2, 0), atol=1e-9)
 
 
 def touches(robot: Robot, found: Excitation) -> bool:
@@ -64,7 +61,7 @@ def touches(robot: Robot, found: Excitation) -> bool:
   return False
 
 
-def test_nothing_is_touched() -> None:
+def test_the_robot_does_not_touch_the_floor() -> None:
   pose, cfg = {"hip": 0.9, "knee": -0.9}, dataclasses.replace(CFG, rounds=1, candidates=2, seconds=1.5)
   high, low = (strict_arm(pose=pose, floor=floor) for floor in (0.3, 0.565))
   free, careful = (design_excitation(robot, TERMS[:1], cfg) for robot in (high, low))
@@ -83,7 +80,7 @@ def test_a_record_of_the_excitation_finds_the_parameters(designed: tuple[Robot, 
       assert estimate.number == pytest.approx(factors[estimate.parameter.name], rel=0.05)
 
 
-def test_a_joint_alone_moves_and_a_search_can_be_ended(
+def test_a_single_joint_moves_and_a_search_can_be_ended(
   designed: tuple[Robot, Excitation], monkeypatch: pytest.MonkeyPatch
 ) -> None:
   robot, _ = designed

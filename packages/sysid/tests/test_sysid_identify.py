@@ -1,4 +1,4 @@
-"""Known parameters are found again in simulated records, and those that cannot be are named."""
+"""Fits of known parameters to simulated records, and names of parameters that cannot be identified."""
 
 import copy
 from collections.abc import Mapping
@@ -26,13 +26,14 @@ TERMS = ("armature:.*", "frictionloss:.*", "viscous_damping:hip", "stiffness:kne
 
 
 def fit(robot: Robot, records: list[Record], *terms: str, cfg: IdentifyCfg | None = None, **more: Any) -> Identified:
-  """Fit terms, in windows half as long as usual, which take half the time."""
+  """Fit terms, by default in short windows, which take half the time."""
   return identify(robot, records, [parse_term(text) for text in terms], cfg or IdentifyCfg(window=0.12), **more)
 
 
-def of_joints(made: Record) -> dict[str, np.ndarray]:
-  """Signals of a record without those of the IMU and the base."""
-  return {name: values for name, values in made.signals.items() if name in ("position_target", "position", "velocity")}
+def of_joints(made: Record, source: str) -> Record:
+  """Return a record without the signals of the IMU and the base."""
+  signals = {name: made.signals[name] for name in ("position_target", "position", "velocity") if name in made.signals}
+  return Record(source=source, joints=made.joints, time=made.time, signals=signals)
 
 
 def numbers(found: Identified) -> dict[str, float]:
@@ -46,7 +47,7 @@ def agree(found: Identified, wanted: Mapping[str, float], share: float) -> None:
 
 
 @pytest.mark.parametrize("timestep", [0.001, 0.002])
-def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> None:
+def test_known_parameters_are_found_within_five_percent_despite_noise_and_delay(timestep: float) -> None:
   # 7 ms are 3.5 of the longer timestep.
   robot = arm(timestep=timestep)
   true = changed(robot, FACTORS)
@@ -62,7 +63,7 @@ def test_noise_quantisation_and_a_delay_cost_five_percent(timestep: float) -> No
     before, after = trace.errors
     assert after < 1e-3 < 5e-3 < before
   wanted = np.array([*FACTORS.values(), 0.007])
-  # The error that is stated is the error that there is, but for another timestep's.
+  # The stated error covers the real one, except that of another timestep.
   if timestep == true.opt.timestep:
     assert np.abs((found.numbers - wanted) / found.information.std).max() < 4.0
 
@@ -104,14 +105,10 @@ def test_encoder_offsets_and_masses_are_found_through_gravity() -> None:
 
 
 @pytest.mark.parametrize("kind", ["ideal", "dc"])
-def test_laws_that_torch_computes_are_fitted_too(kind: str) -> None:
+def test_actuator_models_of_torch_are_fitted_too(kind: str) -> None:
   more: dict[str, Any] = {"target_names_expr": (".*",), "stiffness": 20.0, "damping": 0.5, "armature": 0.02}
-  law = (
-    IdealPdActuatorCfg(**more)
-    if kind == "ideal"
-    else DcMotorActuatorCfg(**more, saturation_effort=40.0, velocity_limit=200.0)
-  )
-  robot = arm((law,))
+  motor: dict[str, Any] = {"saturation_effort": 40.0, "velocity_limit": 200.0}
+  robot = arm((IdealPdActuatorCfg(**more) if kind == "ideal" else DcMotorActuatorCfg(**more, **motor),))
   gains = np.array([26.0, 20.0])
   made = record(
     robot,
@@ -156,7 +153,7 @@ def test_bounds_and_priors_are_those_of_the_task_s_randomisation() -> None:
   found = Worlds(arm(), 1).bind(terms, {"dof_armature": ("scale", 1.2, 2.0), "delay": ("absolute", 0.0, 0.01)})
   shown = [(p.name, p.operation, p.lo, p.start, p.hi) for p in found]
   assert shown == [
-    # One lies outside, so that the prior is the middle.
+    # The factor 1 is outside of the bounds, so that the prior is their middle.
     ("dof_armature:hip", "scale", 1.2, 1.6, 2.0),
     ("dof_armature:knee", "absolute", 0.01, 0.02, 0.09),
     ("damping:.*", "scale", 0.25, 1.0, 4.0),
@@ -164,7 +161,7 @@ def test_bounds_and_priors_are_those_of_the_task_s_randomisation() -> None:
   ]
 
 
-def test_efforts_tell_what_motion_does_not() -> None:
+def test_measured_efforts_identify_a_stiffness() -> None:
   robot = arm(pose={"hip": 0.4, "knee": 0.4})
   factors = {"stiffness:hip": 1.3}
   made = record(robot, changed(robot, factors), sines(robot, 0, 1.5), signals=("position", "effort"))
@@ -181,7 +178,7 @@ def test_cma_needs_no_gradient() -> None:
   agree(found, factors, 0.02)
 
 
-def test_a_fit_that_is_ended_returns_the_best_so_far() -> None:
+def test_a_fit_that_ends_early_returns_the_best_so_far() -> None:
   robot = arm()
   made = record(robot, changed(robot, FACTORS), sines(robot, 0, 1.0))
   found = fit(robot, [made], *TERMS, on_iteration=lambda progress: progress.iteration == 2)
@@ -236,21 +233,20 @@ def test_the_base_of_a_robot_on_its_stand_does_not_touch_its_limbs() -> None:
   assert robot.model.nexclude == 1
 
 
-def test_a_fit_that_was_killed_is_resumed(tmp_path: Path) -> None:
+def test_a_killed_fit_is_resumed(tmp_path: Path) -> None:
   robot, file = arm(), tmp_path / "fit.json"
   made = record(robot, changed(robot, FACTORS), sines(robot, 0, 1.0))
-  more: dict[str, Any] = {"progress": file}
 
   def kill(progress: Progress) -> None:
     if progress.iteration == 4:
       raise KeyboardInterrupt
 
   with pytest.raises(KeyboardInterrupt):
-    fit(robot, [made], *TERMS, on_iteration=kill, **more)
+    fit(robot, [made], *TERMS, on_iteration=kill, progress=file)
   assert [path.name for path in tmp_path.iterdir()] == ["fit.json"]
   begun = file.read_text()
   costs: list[float] = []
-  found = fit(robot, [made], *TERMS, resume=True, on_iteration=lambda seen: costs.append(seen.cost), **more)
+  found = fit(robot, [made], *TERMS, resume=True, on_iteration=lambda seen: costs.append(seen.cost), progress=file)
   agree(found, FACTORS, 0.005)
   first: list[float] = []
   fit(robot, [made], *TERMS, on_iteration=lambda seen: first.append(seen.cost) or True)
@@ -264,19 +260,18 @@ def test_a_fit_that_was_killed_is_resumed(tmp_path: Path) -> None:
   ):
     file.write_text(content)
     with pytest.raises(MjlabError, match=message) as raised:
-      fit(robot, [made], *TERMS, resume=True, **more)
+      fit(robot, [made], *TERMS, resume=True, progress=file)
     assert "\n" not in str(raised.value)
 
 
-def test_an_imu_on_a_limb_tells_its_damping_without_encoders_of_velocity() -> None:
+def test_an_imu_on_a_limb_identifies_its_damping_without_measured_velocities() -> None:
   robot = arm(imu="tip")
   factors = {"dof_damping:knee": 3.0, "body_mass:shank": 1.4}
   made = record(robot, changed(robot, factors), sines(robot, 0, 1.2), noise=2e-3, signals=("position", "imu"))
   found = fit(robot, [made], "viscous_damping:knee", "body_mass:shank")
-  encoders = Record(source="encoders", joints=made.joints, time=made.time, signals=of_joints(made))
-  plain = fit(robot, [encoders], "viscous_damping:knee", "body_mass:shank")
+  plain = fit(robot, [of_joints(made, "encoders")], "viscous_damping:knee", "body_mass:shank")
   agree(found, factors, 0.03)
-  # The gyro and the accelerometer tell more than encoders alone.
+  # The gyro and the accelerometer add information to that of encoders.
   assert (found.information.std < 0.7 * plain.information.std).all()
   assert {trace.joint for trace in found.traces} > {"hip", "angular_velocity/x [rad/s]"}
   with pytest.raises(MjlabError, match=r"site 'top' does not exist\. Nearest: tip"):
@@ -286,23 +281,16 @@ def test_an_imu_on_a_limb_tells_its_damping_without_encoders_of_velocity() -> No
     fit(held, [made], "armature:hip", cfg=IdentifyCfg(iterations=1))
 
 
-def test_a_base_that_moves_begins_each_window_where_it_was_measured() -> None:
+def test_a_moving_base_begins_each_window_at_its_measured_pose() -> None:
   robot = arm(is_free=True, floor=None)
   factors = {"body_mass:shank": 1.5, "dof_armature:knee": 1.6}
   made = record(robot, changed(robot, factors), sines(robot, 0, 1.0), noise=1e-4)
   found = fit(robot, [made], "body_mass:shank", "armature:knee", cfg=IdentifyCfg())
   agree(found, factors, 0.03)
   shown = {trace.joint: trace.errors for trace in found.traces}
-  assert set(shown) == {
-    "hip",
-    "knee",
-    *(f"base_position/{a} [m]" for a in "xyz"),
-    *(f"base_orientation/{a} [rad]" for a in "xyz"),
-  }
+  base = [f"base_{signal}" for axis in "xyz" for signal in (f"position/{axis} [m]", f"orientation/{axis} [rad]")]
+  assert set(shown) == {"hip", "knee", *base}
   before, after = shown["base_orientation/y [rad]"]
   assert after < 3e-3 < before
-  lacking = Record(source="a.csv", joints=made.joints, time=made.time, signals=of_joints(made))
-  with pytest.raises(
-    MjlabError, match=r"a\.csv: the base moves, so the record needs base_position and base_orientation"
-  ):
-    fit(robot, [lacking], "armature:knee")
+  with pytest.raises(MjlabError, match=r"a\.csv: the base moves, so the record needs base_position and base_orient"):
+    fit(robot, [of_joints(made, "a.csv")], "armature:knee")

@@ -1,4 +1,4 @@
-"""A motor with friction and delay is recovered from its records."""
+"""Fits of a motor with friction and delay to its records."""
 
 import csv
 import math
@@ -28,13 +28,13 @@ HEADER = ("time", "position_target", "position", "velocity", "effort")
 
 
 def motor(error: float, velocity: float) -> float:
-  """Effort of the hidden motor, of an error that is DELAY samples old."""
+  """Return the effort of the hidden motor for an error that is DELAY samples old."""
   drive = min(max(KP * error - KD * velocity, -LIMIT), LIMIT)
   return drive - FRICTION * math.tanh(velocity / 0.3)
 
 
 def drive(law: Any, seed: int, steps: int) -> np.ndarray:
-  """Rows of HEADER while `law` (target, position, velocity) -> effort moves the pendulum after steps and sweeps."""
+  """Return rows of HEADER while `law` (target, position, velocity) -> effort follows steps and sweeps."""
   spec = mujoco.MjSpec.from_string(PENDULUM)
   spec.add_actuator(name="m", target="hinge", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
   model = spec.compile()
@@ -63,6 +63,21 @@ def hidden_motor() -> Any:
   return law
 
 
+def built(cfg: Any, dtype: torch.dtype) -> ActuatorSet:
+  """Build the actuator of the pendulum."""
+  spec, actuators = mujoco.MjSpec.from_string(PENDULUM), ActuatorSet([cfg])
+  actuators.edit_spec(spec)
+  actuators.build(spec.compile(), num_envs=1, device="cpu", dtype=dtype)
+  return actuators
+
+
+def learned(fitted: MotorFit, folder: Path) -> LearnedMlpActuatorCfg:
+  """Save a fit, and return the config that it shows for pasting."""
+  fitted.save(folder / "motor.pt")
+  shown = fitted.config(folder / "motor.pt").replace("(...,)", "('hinge',)")
+  return eval(shown, {"LearnedMlpActuatorCfg": LearnedMlpActuatorCfg})
+
+
 def write(path: Path, rows: Any, header: tuple[str, ...] = HEADER) -> Path:
   with path.open("w", newline="") as file:
     writer = csv.writer(file)
@@ -87,7 +102,7 @@ def test_a_motor_with_friction_and_delay_is_recovered_far_better_than_by_a_pd_la
   # In N m, of a motor that gives up to 4.
   assert fitted.held_out_error < 0.06
   assert fitted.train_error < 0.06
-  # The best PD law that there is for these records, not the hidden one's gains.
+  # The best PD law for these records does not have the gains of the hidden motor.
   assert fitted.pd_error > 15.0 * fitted.held_out_error
   assert fitted.curve[-1].held_out_error < 0.2 * fitted.curve[0].held_out_error
 
@@ -116,25 +131,12 @@ def test_an_envelope_and_a_delay_of_half_a_sample_are_found() -> None:
     assert getattr(found, name) == pytest.approx(getattr(law, name), rel=0.03), name
 
 
-def test_the_learned_motor_moves_a_joint_as_the_real_one_does_on_targets_never_seen(
-  fitted: MotorFit, tmp_path: Path
-) -> None:
-  fitted.save(tmp_path / "motor.pt")
-  learned = LearnedMlpActuatorCfg(
-    target_names_expr=("hinge",),
-    network_file=tmp_path / "motor.pt",
-    history_length=4,
-    sample_period=fitted.period,
-    activation=fitted.cfg.activation,
-  )
+def test_the_learned_motor_moves_a_joint_like_the_real_one_on_new_targets(fitted: MotorFit, tmp_path: Path) -> None:
   kp, kd = fitted.pd_gains
   ideal = IdealPdActuatorCfg(target_names_expr=("hinge",), stiffness=kp, damping=kd)
 
   def law(cfg: Any) -> Any:
-    spec = mujoco.MjSpec.from_string(PENDULUM)
-    actuators = ActuatorSet([cfg])
-    actuators.edit_spec(spec)
-    actuators.build(spec.compile(), num_envs=1, device="cpu", dtype=torch.float64)
+    actuators = built(cfg, torch.float64)
 
     def effort(*numbers: float) -> float:
       target, position, velocity = (torch.tensor([[number]], dtype=torch.float64) for number in numbers)
@@ -143,29 +145,21 @@ def test_the_learned_motor_moves_a_joint_as_the_real_one_does_on_targets_never_s
 
     return effort
 
-  real, like, pd = (drive(which, seed=7, steps=1600)[:, 2] for which in (hidden_motor(), law(learned), law(ideal)))
+  real, like, pd = (
+    drive(which, seed=7, steps=1600)[:, 2] for which in (hidden_motor(), law(learned(fitted, tmp_path)), law(ideal))
+  )
   assert np.sqrt(np.mean(np.square(like - real))) < 0.01
   assert np.sqrt(np.mean(np.square(pd - real))) > 8.0 * np.sqrt(np.mean(np.square(like - real)))
 
 
-def test_the_stored_network_gives_the_very_efforts_that_were_reported(fitted: MotorFit, tmp_path: Path) -> None:
-  fitted.save(tmp_path / "motor.pt")
+def test_the_stored_network_gives_the_reported_efforts(fitted: MotorFit, tmp_path: Path) -> None:
+  cfg = learned(fitted, tmp_path)
   assert [path.name for path in tmp_path.iterdir()] == ["motor.pt"]
-  cfg = LearnedMlpActuatorCfg(target_names_expr=("hinge",), network_file=tmp_path / "motor.pt", history_length=4)
-  spec, actuators = mujoco.MjSpec.from_string(PENDULUM), ActuatorSet([cfg])
-  actuators.edit_spec(spec)
-  actuators.build(spec.compile(), num_envs=1, device="cpu", dtype=torch.float32)
-  law: Any = actuators.groups[0]
-  rows = torch.randn(5, 8)
-  torch.testing.assert_close(law.network(rows), fitted.network(rows))
-
-
-def test_the_config_that_is_shown_can_be_pasted(fitted: MotorFit, tmp_path: Path) -> None:
-  fitted.save(tmp_path / "motor.pt")
-  shown = fitted.config(tmp_path / "motor.pt").replace("(...,)", "('hinge',)")
-  cfg = eval(shown, {"LearnedMlpActuatorCfg": LearnedMlpActuatorCfg})
   assert (cfg.sample_period, cfg.history_length) == (PERIOD, 4)
   cfg.validate(["hinge"])
+  law: Any = built(cfg, torch.float32).groups[0]
+  rows = torch.randn(5, 8)
+  torch.testing.assert_close(law.network(rows), fitted.network(rows))
 
 
 def test_the_same_seed_gives_the_same_network(recorded: Path) -> None:
@@ -175,14 +169,14 @@ def test_the_same_seed_gives_the_same_network(recorded: Path) -> None:
   assert not torch.equal(one.held_out, other.held_out)
 
 
-def test_training_ends_where_it_is_told_to(recorded: Path) -> None:
+def test_training_ends_when_the_callback_returns_true(recorded: Path) -> None:
   fit = fit_motor(read_records([recorded]), MotorFitCfg(epochs=50), lambda progress: progress.epoch == 2)
   assert [point.epoch for point in fit.curve] == [1, 2]
   assert fit.held_out_error == fit.curve[-1].held_out_error
 
 
 def test_held_out_samples_are_never_trained_on_and_windows_stay_in_their_segment(tmp_path: Path) -> None:
-  # The efforts of what is held out are nonsense that training would have to follow if it saw them.
+  # Training would follow the nonsense of the held-out efforts if it saw them.
   rows = drive(hidden_motor(), seed=3, steps=400)
   clean = write(tmp_path / "clean.csv", rows[:320])
   rows[320:, 4] = 1e3
@@ -247,7 +241,7 @@ def test_impossible_settings_are_refused_by_name(tmp_path: Path, changes: dict[s
     fit_motor(records, MotorFitCfg(**changes))
 
 
-def test_a_motor_that_never_gave_anything_teaches_nothing(tmp_path: Path) -> None:
+def test_a_constant_effort_is_refused(tmp_path: Path) -> None:
   records = read_records([write(tmp_path / "a.csv", [[*row[:4], 1.5] for row in table(40)])])
   with pytest.raises(MjlabError, match="'effort' never changes"):
     fit_motor(records)

@@ -1,8 +1,10 @@
-"""Records come by name and in SI units from three formats, and wrong ones end in one line."""
+"""Records by name and in SI units from three formats, and one-line errors of wrong ones."""
 
+import io
 import json
 import math
 import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +39,7 @@ def same(one: Record, other: Record) -> None:
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
-def test_what_is_written_is_read_again(tmp_path: Path, suffix: str) -> None:
+def test_a_written_record_is_read_again(tmp_path: Path, suffix: str) -> None:
   write_record(record(), tmp_path / f"a.{suffix}")
   (found,) = read_records([tmp_path / f"a.{suffix}"])
   same(record(), found)
@@ -68,7 +70,7 @@ def test_arrays_name_their_units(tmp_path: Path) -> None:
   assert found.ignored == ("extra",)
 
 
-def test_segments_and_files_are_records_of_their_own(tmp_path: Path) -> None:
+def test_each_segment_and_file_is_a_record(tmp_path: Path) -> None:
   text = "time,position,segment\n" + "".join(f"{k},0,{name}\n" for name in ("left", "right") for k in range(3))
   (tmp_path / "a.csv").write_text(text)
   found = read_records([tmp_path / "a.csv", tmp_path / "a.csv"])
@@ -77,7 +79,7 @@ def test_segments_and_files_are_records_of_their_own(tmp_path: Path) -> None:
   assert found[0].joints == ("joint",)
 
 
-def test_times_that_were_rounded_still_give_the_timestep(tmp_path: Path) -> None:
+def test_rounded_times_give_the_period(tmp_path: Path) -> None:
   (tmp_path / "a.csv").write_text("time,position\n" + "".join(f"{k / 240:.6f},0\n" for k in range(2400)))
   (found,) = read_records([tmp_path / "a.csv"])
   assert math.isclose(found.period, 1 / 240, rel_tol=1e-6)
@@ -110,7 +112,7 @@ def test_states_have_the_command_before_them_in_an_mcap_file(tmp_path: Path) -> 
   np.testing.assert_allclose(found.of("position", JOINTS)[3], [4.0, -4.0])
   np.testing.assert_allclose(found.of("position_target", JOINTS)[3], [20.0, 10.0])
   np.testing.assert_allclose(found.signals["angular_velocity"][3], [4.0, 0.0, 0.0])
-  # A base is tracked by another clock, here half as often; q and -q are one orientation.
+  # The base has another clock, here half as fast; q and -q are one orientation.
   turned = {"x": 0.0, "y": 0.0, "z": -math.sin(0.1), "w": -math.cos(0.1)}
   base = [
     (0.02 * k, {"pose": {"position": {"x": 2 * k, "y": 0, "z": 1}, "orientation": turned if k % 2 else UPRIGHT}})
@@ -180,7 +182,7 @@ def test_a_wrong_csv_is_refused_by_line_and_column(tmp_path: Path, text: str, me
   assert "\n" not in str(raised.value)
 
 
-def test_files_that_are_no_records_are_refused_by_name(tmp_path: Path) -> None:
+def test_other_files_are_refused_by_name(tmp_path: Path) -> None:
   for name, content, message in (
     ("nowhere.csv", None, r"nowhere\.csv: no such file"),
     ("a.txt", b"", r"a\.txt: ending '\.txt' does not exist"),
@@ -196,9 +198,6 @@ def test_files_that_are_no_records_are_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_hostile_archive_is_refused_before_its_data_are_read(tmp_path: Path) -> None:
-  import io
-  import zipfile
-
   header = io.BytesIO()
   np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12, 10**6)})
   with zipfile.ZipFile(tmp_path / "bomb.npz", "w") as archive:
@@ -226,7 +225,7 @@ def test_names_and_units_are_checked_against_a_robot() -> None:
   check_joints(record(signals={"position": np.zeros((ROWS, 2))}), ranges)
 
 
-def test_a_signal_that_is_missing_is_named(tmp_path: Path) -> None:
+def test_a_missing_signal_is_named(tmp_path: Path) -> None:
   (tmp_path / "a.csv").write_text("time,position,velocty\n0,0,0\n1,0,0\n")
   (found,) = read_records([tmp_path / "a.csv"])
   with pytest.raises(FileError, match="joint 'joint' has no signal 'velocity'; not read: velocty"):

@@ -1,8 +1,7 @@
-"""The page in a real browser: what is seen, what each control does, who comes and goes."""
+"""The page of the browser viewer: pictures, controls, films and connections."""
 
 import asyncio
 import importlib.metadata
-import io
 import itertools
 import socket
 import sys
@@ -22,17 +21,31 @@ import torch
 import trimesh
 import viser
 from mjlab_core import MjlabError
-from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, Snapshot, SnapshotTaker, ZeroPolicy
+from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, SnapshotTaker, ZeroPolicy
 from mjlab_viewer.browser import viser_internals
 from mjlab_viewer.browser.controls import _ratio
 from mjlab_viewer.browser.groups import geom_labels, site_labels
 from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from mjlab_viewer.browser.viser_internals import LoopEvent
 from mjviser import conversions
-from PIL import Image
 from playwright.sync_api import Browser, Page
 from viewer_env import GROUND, BoxEnv
-from viewer_page import choose, closing_pages, eventually, headless_chromium, opened, press_until, row, slide, stepping
+from viewer_page import (
+  Served,
+  choose,
+  closing_pages,
+  eventually,
+  headless_chromium,
+  inputs_of,
+  is_red,
+  opened,
+  pixels,
+  press_until,
+  row,
+  served,
+  slide,
+  stepping,
+)
 from viser import _icons as icons
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
@@ -50,49 +63,28 @@ def chromium(launched: Browser) -> Iterator[Browser]:
     yield browser
 
 
-class Running:
-  """A viewer of boxes, and its policies."""
-
-  def __init__(self, env: BoxEnv, folder: Path, policies: dict[str, Callable[..., torch.Tensor]]) -> None:
-    self.env = env
-    names = list(policies)
-    self.playback = Playback(env, policies[names[0]])
-    self.policies = policies
-    checkpoints = CheckpointList(names=lambda: list(policies), load=policies.__getitem__, loaded=names[0])
-    self.viewer = BrowserViewer(
-      env, playback=self.playback, checkpoints=checkpoints, port=8300, max_worlds=5, video_folder=folder
-    )
-
-  def shown(self) -> Snapshot:
-    assert self.viewer.scene.shown is not None
-    return self.viewer.scene.shown
+Policies = dict[str, Callable[..., torch.Tensor]]
 
 
 @contextmanager
-def running(env: BoxEnv, folder: Path, **policies: Callable[..., torch.Tensor]) -> Generator[Running]:
-  run = Running(env, folder, policies or {"zero": ZeroPolicy(env.num_envs, 1, env.sim.device)})
-  with stepping(run.viewer):
+def running(env: BoxEnv, folder: Path, policies: Policies | None = None) -> Generator[Served]:
+  """Run a viewer of boxes in a thread, with the first policy loaded and the others to choose from."""
+  known = policies or {"zero": ZeroPolicy(env.num_envs, 1, env.sim.device)}
+  first = next(iter(known))
+  checkpoints = CheckpointList(names=lambda: list(known), load=known.__getitem__, loaded=first)
+  options: dict[str, Any] = {"checkpoints": checkpoints, "max_worlds": 5, "video_folder": folder}
+  with served(env, known[first], **options) as run, stepping(run.viewer):
     yield run
 
 
-def red(page: Page) -> np.ndarray:
-  """Where the red boxes are on the left of the page, bool (height, width)."""
-  return is_red(pixels(page))
+def red(page: Page) -> int:
+  """Return the number of red pixels."""
+  return is_red(pixels(page)).sum()
 
 
-def is_red(image: np.ndarray) -> np.ndarray:
-  return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
-
-
-def pixels(page: Page) -> np.ndarray:
-  """The left of the page, int (height, width, 3)."""
-  return np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
-
-
-def blue(page: Page) -> np.ndarray:
-  """Where the blue boxes are on the left of the page, but for its axes in the corner, bool (height, width)."""
-  image = pixels(page)[:460]
-  return (image[..., 2] > 90) & (image[..., 2] > 2 * image[..., 0]) & (image[..., 2] > 2 * image[..., 1])
+def blue(page: Page) -> int:
+  """Return the number of blue pixels above the axes in the corner."""
+  return is_red(pixels(page)[:460, :, ::-1]).sum()
 
 
 def push(value: float, env: BoxEnv) -> Callable[..., torch.Tensor]:
@@ -101,10 +93,11 @@ def push(value: float, env: BoxEnv) -> Callable[..., torch.Tensor]:
 
 def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path: Path) -> None:
   env = BoxEnv(7)
-  with running(env, tmp_path, first=push(0.0, env), second=push(3.0, env)) as run:
+  policies = {"first": push(0.0, env), "second": push(3.0, env)}
+  with running(env, tmp_path, policies) as run:
     playback, viewer = run.playback, run.viewer
     page = opened(chromium, run.viewer.url)
-    eventually(lambda: red(page).sum() > 300, "the robot is not seen")
+    eventually(lambda: red(page) > 300, "the robot is not seen")
 
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play", exact=True).wait_for()
@@ -143,10 +136,10 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     page.get_by_label("Follow").check()
 
     choose(page, "Checkpoint", "second")
-    eventually(lambda: playback.policy is run.policies["second"])
-    run.policies["third"] = push(1.0, env)
+    eventually(lambda: playback.policy is policies["second"])
+    policies["third"] = push(1.0, env)
     page.get_by_role("button", name="Newest").click()
-    eventually(lambda: playback.policy is run.policies["third"])
+    eventually(lambda: playback.policy is policies["third"])
 
     page.get_by_role("tab", name="Overlays").click()
     page.get_by_label("Enabled").first.check()
@@ -182,41 +175,38 @@ def test_every_control_of_the_page_does_what_it_says(chromium: Browser, tmp_path
     page.close()
 
 
-def test_time_can_be_gone_back_in_and_plots_follow(chromium: Browser, tmp_path: Path) -> None:
+def test_a_paused_page_goes_back_in_time(chromium: Browser, tmp_path: Path) -> None:
   env = BoxEnv(1)
-  with running(env, tmp_path, slide=push(2.0, env)) as run:
+  with running(env, tmp_path, {"slide": push(2.0, env)}) as run:
     page = opened(chromium, run.viewer.url)
     eventually(lambda: run.playback.step_count > 60 and len(run.viewer.history) > 10)
     page.get_by_role("button", name="Pause").click()
     page.get_by_role("button", name="Play", exact=True).wait_for()
-    eventually(lambda: run.shown().step == run.playback.total_steps)
+    eventually(lambda: run.shown.step == run.playback.total_steps)
     slide(page, "Seconds back", 0.6)
-    eventually(lambda: run.shown().step < run.playback.total_steps)
-    past, now = run.shown(), run.viewer.history[-1]
+    eventually(lambda: run.shown.step < run.playback.total_steps)
+    past, now = run.shown, run.viewer.history[-1]
     # A busy machine leaves pictures out.
     apart = int(np.diff([kept.step for kept in run.viewer.history]).max())
     assert past.step == pytest.approx(run.playback.total_steps - 0.6 / env.step_dt, abs=max(1, apart))
     assert past.data["qpos"][0, 0] < now.data["qpos"][0, 0]
     page.get_by_role("button", name="Play", exact=True).click()
-    eventually(lambda: run.shown().step > now.step)
+    eventually(lambda: run.shown.step > now.step)
     page.close()
 
 
 @pytest.mark.parametrize("tick", [0.001, 0.4])
-def test_a_film_lasts_as_long_as_the_page_shows_however_slow_the_machine_is(
+def test_a_film_lasts_as_long_as_the_page_shows_on_a_slow_machine(
   tick: float, opengl: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-  """`tick` is the time from one look at the clock to the next [s]; a slow machine drops most steps that are due."""
+  """`tick` is the time between two readings of the clock [s]; a slow machine drops most steps that are due."""
   monkeypatch.setattr("mjlab_viewer.pictures.video._ROOM", 1)
   env, looks = BoxEnv(1), itertools.count()
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device), clock=lambda: tick * next(looks))
-  with BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path) as viewer:
-    controls = viewer._controls
-    assert controls is not None
+  with served(env, clock=lambda: tick * next(looks), video_folder=tmp_path) as run:
+    playback, viewer = run.playback, run.viewer
 
     def shown() -> float:
-      controls.show_status()
-      return float(controls._status.content.split(" s, world 0")[0].split()[-1])
+      return float(run.status().split(" s, world 0")[0].split()[-1])
 
     # More steps than pictures, and more than can be rendered meanwhile.
     playback.speed = 8.0
@@ -264,7 +254,7 @@ def test_a_film_has_the_ground_sky_and_colours_of_the_page(chromium: Browser, op
   assert filmed[5] < 1.0
   with stepping(viewer):
     page = opened(chromium, viewer.url)
-    eventually(lambda: red(page).sum() > 300, "the box is not seen")
+    eventually(lambda: red(page) > 300, "the box is not seen")
     seen: list[np.ndarray] = []
 
     def is_alike() -> bool:
@@ -278,7 +268,7 @@ def test_a_film_has_the_ground_sky_and_colours_of_the_page(chromium: Browser, op
     page.close()
 
 
-def test_a_film_is_offered_and_errors_are_shown_until_the_viewer_goes_on(
+def test_a_film_is_saved_and_errors_are_shown_until_the_viewer_goes_on(
   chromium: Browser, opengl: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   env = BoxEnv(1)
@@ -296,7 +286,7 @@ def test_a_film_is_offered_and_errors_are_shown_until_the_viewer_goes_on(
 
   env.command.debug_draw = draw
   env.draws_at_first = True
-  with running(env, tmp_path, policy=policy) as run:
+  with running(env, tmp_path, {"policy": policy}) as run:
     playback, page = run.playback, opened(chromium, run.viewer.url)
 
     page.get_by_role("button", name="Record").click()
@@ -333,13 +323,11 @@ def test_a_film_is_offered_and_errors_are_shown_until_the_viewer_goes_on(
 
 def test_a_world_that_diverged_stays_where_it_was_and_hides_no_other() -> None:
   env = BoxEnv(3)
-  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    assert viewer._controls is not None
-    page, status = viewer.scene, viewer._controls
+  with served(env) as run:
+    page = run.viewer.scene
     page.scene.show_contact_forces = page.scene.show_inertia = True
     boxes = page.scene._mesh_groups[0].handle
-    # Also of a world that never was anything else: that has the pose of the model.
+    # A world that was never finite has the pose of the model.
     env.sim.datas[2].xpos[:] = np.nan
     for step in range(3):
       for data in env.sim.datas[:2]:
@@ -350,13 +338,13 @@ def test_a_world_that_diverged_stays_where_it_was_and_hides_no_other() -> None:
       if step == 2:
         env.reset()
       page.show(SnapshotTaker(env, contacts=True).take((0, 1, 2)))
-      status.show_status()
+      status = run.status()
       middle = page.scene.fixed_bodies_frame.position
       drawn = [handle.batched_positions for handle in (boxes, *page.scene._decor_handles.values())]
       assert all(np.isfinite(position).all() for position in (middle, *drawn))
       across = (boxes.batched_positions - middle)[:, 1]
       np.testing.assert_allclose(across, [(1, 1, 0), (1, 2, 0), (0, 0, 0)][step], atol=1e-6)
-      assert ("world 0 is not finite" in status._status.content) == (step == 1)
+      assert ("world 0 is not finite" in status) == (step == 1)
       assert page.is_finite == (step != 1)
 
 
@@ -373,7 +361,7 @@ def colorful_env() -> BoxEnv:
   return env
 
 
-def test_worlds_of_different_appearance_are_shown_each_in_its_own() -> None:
+def test_each_world_is_shown_with_its_appearance() -> None:
   env = colorful_env()
   with BrowserViewer(env, port=8300) as viewer:
     taker = SnapshotTaker(env)
@@ -402,20 +390,18 @@ def test_worlds_of_different_appearance_are_shown_each_in_its_own() -> None:
 def test_colours_of_each_world_are_seen(chromium: Browser, tmp_path: Path) -> None:
   with running(colorful_env(), tmp_path) as run:
     page = opened(chromium, run.viewer.url)
-    eventually(lambda: red(page).sum() > 20)
-    eventually(lambda: blue(page).sum() > 20)
+    eventually(lambda: red(page) > 20 and blue(page) > 20)
     slide(page, "Shown", 1)
     eventually(lambda: run.viewer.selection.count == 1, "the slider did not arrive")
-    eventually(lambda: blue(page).sum() == 0 and red(page).sum() > 20, "the blue box stays")
+    eventually(lambda: blue(page) == 0 and red(page) > 20, "the blue box stays")
     page.close()
 
 
-def test_two_may_look_at_once_and_one_may_vanish(chromium: Browser, tmp_path: Path) -> None:
+def test_two_pages_are_open_at_once_and_one_vanishes(chromium: Browser, tmp_path: Path) -> None:
   with running(BoxEnv(2), tmp_path) as run:
     first, second = opened(chromium, run.viewer.url), opened(chromium, run.viewer.url)
     eventually(lambda: len(run.viewer.server.get_clients()) == 2)
-    eventually(lambda: red(first).sum() > 300)
-    eventually(lambda: red(second).sum() > 300)
+    eventually(lambda: red(first) > 300 and red(second) > 300)
     first.close(run_before_unload=False)
     eventually(lambda: len(run.viewer.server.get_clients()) == 1)
     second.get_by_role("button", name="Pause").click()
@@ -430,19 +416,15 @@ def test_two_may_look_at_once_and_one_may_vanish(chromium: Browser, tmp_path: Pa
 
 def test_the_page_says_why_the_last_episode_of_the_selected_world_ended() -> None:
   env = BoxEnv(3, length=3)
-  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
-  env.age[0], env.age[2] = 2, 1
-  playback.pause()
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    assert viewer._controls is not None
-    said = viewer._controls
-    viewer.selection.world = 2
-    for step, expected in enumerate(("", "world 2 last ended by too_old", "world 2 last ended by too_old")):
-      playback.step_once()
-      said.show_status()
-      assert ("last ended" in said._status.content) == bool(expected), step
-      assert expected in said._status.content
-    assert playback.error is None
+  with served(env) as run:
+    env.age[0], env.age[2] = 2, 1
+    run.playback.pause()
+    run.viewer.selection.world = 2
+    for step in range(3):
+      run.playback.step_once()
+      assert ("last ended" in run.status()) == (step > 0), step
+      assert ("world 2 last ended by too_old" in run.status()) == (step > 0), step
+    assert run.playback.error is None
 
 
 @pytest.mark.parametrize(("speed", "name"), [(1 / 32, "1/32"), (0.1, "1/10"), (0.3, "0.3"), (1.0, "1"), (2.5, "2.5")])
@@ -450,7 +432,7 @@ def test_speeds_are_named_as_fractions_where_they_are(speed: float, name: str) -
   assert _ratio(speed) == name
 
 
-def test_nobody_looking_costs_no_snapshot() -> None:
+def test_without_a_page_no_snapshots_are_taken() -> None:
   env = BoxEnv(1)
   with BrowserViewer(env, port=8300) as viewer:
     for _ in range(3):
@@ -458,7 +440,7 @@ def test_nobody_looking_costs_no_snapshot() -> None:
     assert not viewer.history
 
 
-def test_the_page_is_served_to_this_machine_alone_unless_told_otherwise() -> None:
+def test_the_page_is_served_to_this_machine_alone_by_default() -> None:
   with BrowserViewer(BoxEnv(1), port=8300) as viewer:
     assert viewer.server.get_host() == "127.0.0.1"
     assert viewer.url == f"http://localhost:{viewer.server.get_port()}"
@@ -475,31 +457,27 @@ def test_a_connection_that_is_not_from_a_browser_leaves_no_traceback(caplog: pyt
   assert not [record for record in caplog.records if record.exc_info]
 
 
-def test_what_is_closed_while_it_films_keeps_the_film_and_shows_nothing_more(opengl: None, tmp_path: Path) -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  playback.pause()
-  viewer = BrowserViewer(env, playback=playback, port=8300, video_folder=tmp_path)
-  film = viewer.recorder.start()
-  playback.step_once()
-  assert viewer._controls is not None
-  viewer._controls.show_status()
-  assert (viewer._controls._record.label, viewer._controls._record.color) == ("Stop recording", "red")
-  viewer.close()
-  assert list(tmp_path.iterdir()) == [film]
-  viewer.close()
-  viewer._due["frame"] = 0.0
-  viewer.update()
-  playback.step_once()
-  assert playback.error is None
+def test_a_viewer_closed_while_it_films_keeps_the_film_and_shows_no_more(opengl: None, tmp_path: Path) -> None:
+  with served(BoxEnv(1), video_folder=tmp_path) as run:
+    run.playback.pause()
+    film = run.viewer.recorder.start()
+    run.playback.step_once()
+    run.status()
+    assert (run.controls._record.label, run.controls._record.color) == ("Stop recording", "red")
+    run.viewer.close()
+    assert list(tmp_path.iterdir()) == [film]
+    run.viewer.close()
+    run.show()
+    run.playback.step_once()
+    assert run.playback.error is None
 
 
-def test_an_address_that_is_not_here_is_refused_by_name() -> None:
+def test_an_address_of_another_machine_is_refused_by_name() -> None:
   with pytest.raises(MjlabError, match=r"cannot listen on 192\.0\.2\.1: "):
     BrowserViewer(BoxEnv(1), host="192.0.2.1", port=8300)
 
 
-def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_curves_of_a_training_follow_its_steps_where_few_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
   env = BoxEnv(1)
   with BrowserViewer(env, port=8300) as viewer:
     monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: None})
@@ -512,76 +490,57 @@ def test_curves_of_a_training_go_on_by_its_steps_however_few_are_shown(monkeypat
 
 
 def test_manual_commands_follow_the_selection_and_the_previous_world_gets_its_own_commands_again() -> None:
-  env = BoxEnv(3)
-  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+  with served(BoxEnv(3)) as run:
     steered = []
     for label, value in (("forward", 0.5), ("Manual", True), ("World", 2), ("forward", -1.0), ("Manual", False)):
-      inputs[label].value = value
-      viewer._due["frame"] = 0.0
-      viewer.update()
-      playback.tick()
-      steered.append(dict(env.command.manual))
+      run.inputs[label].value = value
+      run.show()
+      run.playback.tick()
+      steered.append(dict(run.env.command.manual))
     assert steered == [{}, {0: (0.5, 0.0)}, {2: (0.5, 0.0)}, {2: (-1.0, 0.0)}, {}]
-    assert playback.error is None
+    assert run.playback.error is None
 
 
-def test_an_axis_that_is_fixed_keeps_its_value_beside_those_that_are_moved() -> None:
+def test_a_fixed_axis_keeps_its_value_while_others_move() -> None:
   env = BoxEnv(1)
   env.command.axes = (("forward", -1.0, 1.0), ("left", 0.25, 0.25))
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    inputs["Manual"].value, inputs["forward"].value = True, 0.5
-    for expected in (0.5, 0.0):
-      viewer._due["frame"] = 0.0
-      viewer.update()
-      playback.tick()
-      assert env.command.manual == {0: (expected, 0.25)}
-      inputs["forward"].value = 0.0
-    assert inputs["left"].disabled
+  with served(env) as run:
+    run.inputs["Manual"].value = True
+    for value in (0.5, 0.0):
+      run.inputs["forward"].value = value
+      run.show()
+      run.playback.tick()
+      assert env.command.manual == {0: (value, 0.25)}
+    assert run.inputs["left"].disabled
 
 
 @pytest.mark.parametrize("others", [[], ["model_0.pt", "model_50.pt"]])
-def test_a_checkpoint_that_its_run_does_not_list_is_there_to_be_chosen(others: list[str]) -> None:
+def test_a_loaded_checkpoint_missing_from_the_list_is_added_to_the_choices(others: list[str]) -> None:
   env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  listed = CheckpointList(names=lambda: others, load=lambda name: playback.policy, loaded="best.pt")
-  with BrowserViewer(env, playback=playback, checkpoints=listed, port=8300) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    choice = inputs["Checkpoint"]
-    assert isinstance(choice, viser.GuiDropdownHandle)
+  zeros = ZeroPolicy(1, 1, env.sim.device)
+  listed = CheckpointList(names=lambda: others, load=lambda name: zeros, loaded="best.pt")
+  with served(env, zeros, checkpoints=listed) as run:
+    choice = run.inputs["Checkpoint"]
     assert choice.value == "best.pt"
     assert set(choice.options) == {"best.pt", *others}
 
 
-def test_the_status_is_that_of_the_moment_that_is_looked_at_and_play_returns_to_now(
-  monkeypatch: pytest.MonkeyPatch,
-) -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    monkeypatch.setattr(viewer.server, "get_clients", lambda: {0: None})
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    playback.pause()
+def test_the_status_describes_the_shown_moment_and_play_returns_to_now(monkeypatch: pytest.MonkeyPatch) -> None:
+  with served(BoxEnv(1)) as run:
+    monkeypatch.setattr(run.viewer.server, "get_clients", lambda: {0: None})
+    run.playback.pause()
     for _ in range(10):
-      playback.step_once()
-      viewer._due["frame"] = 0.0
-      viewer.update()
-    assert viewer._controls is not None
-    viewer._controls.show_status()
-    assert "step 10, " in viewer._controls._status.content
-    inputs["Seconds back"].value = 4 * env.step_dt
-    viewer._due["frame"] = 0.0
-    viewer.update()
-    viewer._controls.show_status()
-    shown = viewer._controls._status.content
-    assert f"step 6, {6 * env.step_dt:.2f} s" in shown
+      run.playback.step_once()
+      run.show()
+    assert "step 10, " in run.status()
+    run.inputs["Seconds back"].value = 4 * run.env.step_dt
+    run.show()
+    shown = run.status()
+    assert f"step 6, {6 * run.env.step_dt:.2f} s" in shown
     assert "Play returns to now" in shown
-    inputs["Pause"].value = True
-    eventually(lambda: playback.tick() or not playback.paused, "Play does nothing")
-    assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
+    run.inputs["Pause"].value = True
+    eventually(lambda: run.playback.tick() or not run.playback.paused, "Play does nothing")
+    assert run.controls.seconds_back == run.inputs["Seconds back"].value == 0.0
 
 
 @pytest.mark.parametrize(
@@ -615,47 +574,34 @@ def test_the_panel_of_a_training_shows_its_state_and_stops_it_once(rewards: tupl
     assert viewer.training is None
 
 
-def test_reset_goes_back_to_now() -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    playback.pause()
-    inputs["Seconds back"].value = 2.0
-    inputs["Reset"].value = True
-    eventually(lambda: playback.tick() or env.num_resets == 3, "Reset does nothing")
-    assert viewer._controls is not None
-    assert viewer._controls.seconds_back == inputs["Seconds back"].value == 0.0
+@pytest.mark.parametrize(("label", "value"), [("Reset", True), ("World", 2), ("Shown", 1)])
+def test_reset_and_a_change_of_worlds_return_to_now(label: str, value: int) -> None:
+  with served(BoxEnv(3)) as run:
+    back, resets = run.inputs["Seconds back"], run.env.num_resets
+    run.playback.pause()
+    back.value = 2.0
+    run.viewer.update()
+    assert back.value == 2.0
+    run.inputs[label].value = value
+
+    def is_now() -> bool:
+      run.show()
+      run.playback.tick()
+      return run.controls.seconds_back == back.value == 0.0
+
+    eventually(is_now)
+    assert (run.env.num_resets > resets) == (label == "Reset")
 
 
-@pytest.mark.parametrize(("label", "value"), [("World", 2), ("Shown", 1)])
-def test_other_worlds_are_shown_as_they_are_now(label: str, value: int) -> None:
-  env = BoxEnv(3)
-  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    playback.pause()
-    inputs["Seconds back"].value = 2.0
-    viewer.update()
-    assert inputs["Seconds back"].value == 2.0
-    inputs[label].value = value
-    viewer._due["frame"] = 0.0
-    viewer.update()
-    assert inputs["Seconds back"].value == 0.0
-
-
-def test_a_button_shows_what_it_does() -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, ZeroPolicy(1, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
-    assert viewer._controls is not None
-    button = viewer._controls._pause
+def test_the_button_that_pauses_shows_its_action() -> None:
+  with served(BoxEnv(1)) as run:
+    button = run.controls._pause
     for act, label, icon in (
-      (playback.pause, "Play", viser.Icon.PLAYER_PLAY),
-      (playback.resume, "Pause", viser.Icon.PLAYER_PAUSE),
+      (run.playback.pause, "Play", viser.Icon.PLAYER_PLAY),
+      (run.playback.resume, "Pause", viser.Icon.PLAYER_PAUSE),
     ):
       act()
-      viewer._controls.show_status()
+      run.status()
       assert (button.label, button.icon) == (label, icon)
 
 
@@ -667,18 +613,17 @@ def test_only_the_thread_that_shows_draws(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(
       scene, "_update_visualization_locked", lambda *given: (drew.append(threading.get_ident()), update(*given))
     )
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
     for mode in ("Body", "None"):
       viewer.scene.show(SnapshotTaker(env).take((0,)))
       # As viser does for a page.
-      page = threading.Thread(target=setattr, args=(inputs["Frames"], "value", mode))
+      page = threading.Thread(target=setattr, args=(inputs_of(viewer)["Frames"], "value", mode))
       page.start()
       page.join()
       assert scene.frame_mode == mode
     assert drew == [threading.get_ident()] * 2
 
 
-def test_curves_go_on_after_a_number_that_is_none() -> None:
+def test_curves_go_on_after_a_value_that_is_not_finite() -> None:
   env = BoxEnv(1)
   with BrowserViewer(env, port=8300) as viewer:
     taker, history = SnapshotTaker(env), []
@@ -694,11 +639,15 @@ def test_curves_go_on_after_a_number_that_is_none() -> None:
     np.testing.assert_allclose(never, 0.0)
 
 
-def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_counts() -> None:
+def test_inputs_act_before_the_page_has_sent_its_camera() -> None:
   env = BoxEnv(3)
-  playback = Playback(env, ZeroPolicy(3, 1, env.sim.device))
-  with BrowserViewer(env, playback=playback, port=8300) as viewer:
+  with served(env) as run:
+    playback, viewer = run.playback, run.viewer
     inputs = {handle.label: uuid for uuid, handle in viewer.server.gui._gui_input_handle_from_uuid.items()}
+
+    def send(label: str, value: object) -> None:
+      message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
+      page.send(msgspec.msgpack.encode(message))
 
     def is_so(holds: Callable[[], bool]) -> bool:
       viewer.update()
@@ -708,8 +657,7 @@ def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_co
     address = viewer.url.replace("http", "ws", 1)
     with connect(address, subprotocols=[Subprotocol(f"viser-v{viser.__version__}")], max_size=None) as page:
       for label, value in (("World", 2), ("Manual", True), ("forward", 0.5), ("Speed", "2")):
-        message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
-        page.send(msgspec.msgpack.encode(message))
+        send(label, value)
       eventually(lambda: is_so(lambda: env.command.manual == {2: (0.5, 0.0)}), "the command is not manual")
       eventually(lambda: is_so(lambda: playback.speed == 2.0), "the speed stays")
       assert viewer.selection.world == 2
@@ -723,13 +671,12 @@ def test_what_is_set_and_pressed_before_the_page_has_told_where_its_camera_is_co
         ("Pause", True, lambda: not playback.paused),
       )
       for label, value, holds in presses:
-        message = {"type": "GuiUpdateMessage", "uuid": inputs[label], "updates": {"value": value}}
-        page.send(msgspec.msgpack.encode(message))
+        send(label, value)
         eventually(lambda holds=holds: is_so(holds), f"{label} does nothing")
       assert not viewer.server.get_clients()
 
 
-def test_a_thread_that_writes_to_the_page_leaves_it_to_the_loop_to_wake_the_sender() -> None:
+def test_the_sender_of_the_page_is_woken_in_its_loop() -> None:
   with BrowserViewer(BoxEnv(1), port=8300) as viewer:
     event = viewer.server._websock_server._broadcast_buffer.message_event
     assert isinstance(event, LoopEvent)
@@ -752,7 +699,13 @@ def test_the_private_names_of_mjviser_are_those_of_the_tested_version() -> None:
     assert all(hasattr(viewer.scene.scene, name) for name in PRIVATE_NAMES)
 
 
-def test_without_the_private_names_of_mjviser_worlds_are_shown_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_are_shown_without_the_private_names_of_mjviser(monkeypatch: pytest.MonkeyPatch) -> None:
+  def without_private_names(scene: MujocoScene, name: str) -> Any:
+    # mjviser itself goes on using them.
+    if name in PRIVATE_NAMES and sys._getframe(1).f_globals["__name__"] == MujocoScene.__module__:
+      raise AttributeError(name)
+    return object.__getattribute__(scene, name)
+
   monkeypatch.setattr(MujocoScene, "__getattribute__", without_private_names)
   env = colorful_env()
   with BrowserViewer(env, port=8300) as viewer:
@@ -762,14 +715,7 @@ def test_without_the_private_names_of_mjviser_worlds_are_shown_all_the_same(monk
     assert not viewer.scene.scene.splits_contact_forces
 
 
-def without_private_names(scene: MujocoScene, name: str) -> Any:
-  # mjviser itself goes on using them.
-  if name in PRIVATE_NAMES and sys._getframe(1).f_globals["__name__"] == MujocoScene.__module__:
-    raise AttributeError(name)
-  return object.__getattribute__(scene, name)
-
-
-def test_groups_are_named_by_what_they_hold_and_switch_it() -> None:
+def test_groups_are_named_after_their_contents_and_switch_them() -> None:
   model = mujoco.MjModel.from_xml_string("""
     <mujoco>
       <worldbody>
@@ -786,7 +732,7 @@ def test_groups_are_named_by_what_they_hold_and_switch_it() -> None:
   assert site_labels(model) == {0: "goal"}
   replay = Replay(model, {"qpos": model.qpos0[None, None]}, 0.02)
   with BrowserViewer(replay, port=8310) as viewer:
-    boxes = {box.label: box for box in viewer.server.gui._gui_input_handle_from_uuid.values()}
+    boxes = inputs_of(viewer)
     assert not any(label.startswith(("G1", "tendon")) for label in boxes)
     boxes["robot, cube: collision"].value = True
     boxes["robot: visual"].value = False
@@ -794,7 +740,7 @@ def test_groups_are_named_by_what_they_hold_and_switch_it() -> None:
     assert viewer.scene.scene.geom_groups_visible == [True, True, False, True, False, False]
 
 
-def test_the_selected_robot_is_marked_where_others_are_beside_it() -> None:
+def test_the_selected_robot_is_marked_beside_others() -> None:
   env = BoxEnv(3)
   with BrowserViewer(env, port=8311) as viewer:
     taker = SnapshotTaker(env)
@@ -820,22 +766,21 @@ def test_the_page_waits_for_no_environment_map(monkeypatch: pytest.MonkeyPatch) 
   with BrowserViewer(env, port=8312) as viewer:
     viewer.scene.show(SnapshotTaker(env).take((0, 1)))
     assert len(viewer.scene.others.scenes) == 1
-  # The browser would load its own map if it were told nothing.
+  # Without this call the browser loads a default map.
   assert asked == [None]
 
 
 def test_the_field_of_view_is_that_of_the_slider() -> None:
   env = BoxEnv(1)
   with BrowserViewer(env, port=8313) as viewer:
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    slider = inputs["Field of view"]
+    slider = inputs_of(viewer)["Field of view"]
     assert np.deg2rad(slider.value) == pytest.approx(viewer.server.initial_camera.fov, abs=0.01)
     slider.value = 90
     viewer.update()
     assert viewer.server.initial_camera.fov == pytest.approx(np.pi / 2)
 
 
-def test_icons_are_read_from_one_opening_of_their_archive(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_archive_of_icons_is_opened_once(monkeypatch: pytest.MonkeyPatch) -> None:
   opened: list[Any] = []
   monkeypatch.setattr(zipfile, "ZipFile", lambda path, of=zipfile.ZipFile: opened.append(path) or of(path))
   viser_internals.read_icons_once()

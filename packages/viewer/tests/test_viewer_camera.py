@@ -1,4 +1,4 @@
-"""One camera, wherever it is used."""
+"""The camera of pictures, page and window."""
 
 import mujoco
 import numpy as np
@@ -11,7 +11,7 @@ MODEL = mujoco.MjModel.from_xml_string(BOX)
 
 
 def eye_of_mujoco(cfg: CameraCfg, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
-  """Where MuJoCo puts the eye, and where it looks, for the same configuration."""
+  """Return position and direction of the eye in MuJoCo, for the same configuration."""
   camera, scene = mujoco.MjvCamera(), mujoco.MjvScene(MODEL, maxgeom=100)
   resolved = cfg.resolve(MODEL)
   resolved.aim(camera, resolved.target(data.xpos))
@@ -61,12 +61,12 @@ def test_pictures_browser_and_window_begin_with_the_same_view(opengl: None) -> N
     np.testing.assert_allclose(aimed.lookat, env.sim.datas[0].xpos[1])
 
 
-def test_a_model_without_moving_bodies_is_looked_at_in_its_middle() -> None:
+def test_the_camera_looks_at_the_centre_of_a_model_without_moving_bodies() -> None:
   model = mujoco.MjModel.from_xml_string("<mujoco><worldbody><geom size='1' pos='3 0 0'/></worldbody></mujoco>")
   np.testing.assert_allclose(CameraCfg().resolve(model).target(np.zeros((1, 3))), model.stat.center)
 
 
-def test_of_a_robot_that_stands_on_a_base_one_looks_above_its_foot_in_every_world() -> None:
+def test_the_camera_looks_above_the_fixed_base_of_a_robot() -> None:
   model: mujoco.MjModel = mujoco.MjModel.from_xml_string("""
     <mujoco><statistic extent="2"/><worldbody>
       <body name="base" mocap="true"><body name="arm"><joint/><geom size=".1"/></body></body>
@@ -82,6 +82,6 @@ def test_of_a_robot_that_stands_on_a_base_one_looks_above_its_foot_in_every_worl
     np.testing.assert_allclose(viewer.server.initial_camera.look_at, [0, 0, 0.5])
 
 
-def test_a_body_that_does_not_exist_is_refused_with_those_that_do() -> None:
+def test_an_unknown_body_is_refused_with_the_known_ones() -> None:
   with pytest.raises(MjlabError, match=r"body 'leg' does not exist\. All 2: world, box"):
     CameraCfg(body="leg").resolve(MODEL)

@@ -1,4 +1,4 @@
-"""Contacts are drawn as the simulation tells of them, where and as long as MuJoCo would draw them."""
+"""Drawings of contacts, against those of MuJoCo."""
 
 import mujoco
 import numpy as np
@@ -8,8 +8,9 @@ from mjlab_core import Contacts, host_contacts
 from mjlab_viewer import BrowserViewer, OffscreenRenderer, PictureCfg, SnapshotTaker
 from mjlab_viewer.drawing.contacts import contact_shapes
 from viewer_env import BoxEnv
+from viewer_page import inputs_of
 
-# A stack, and a tilted wall whose geom comes after that of the ball which leans on it.
+# A stack, and a tilted wall with a ball on it. The geom of the wall comes after that of the ball.
 STACK = """
 <mujoco>
   <worldbody>
@@ -68,7 +69,7 @@ def test_discs_and_arrows_are_those_that_mujoco_draws(split: bool) -> None:
     assert abs(shown.direction[row] @ geom.mat[:, 2]) == pytest.approx(length, rel=1e-5, abs=1e-9)
 
 
-def test_an_arrow_is_the_force_on_what_can_move() -> None:
+def test_an_arrow_is_the_force_on_the_body_that_can_move() -> None:
   model, data = settled(STACK)
   contacts = host_contacts(model, data)
   (forces,) = contact_shapes(contacts, model, points=False, forces=True)
@@ -81,7 +82,7 @@ def test_an_arrow_is_the_force_on_what_can_move() -> None:
   assert (forces.direction[~wall, 2] > 0).all()
 
 
-def told(count: int, world: int, found: int | None = None) -> Contacts[torch.Tensor]:
+def known(count: int, world: int, found: int | None = None) -> Contacts[torch.Tensor]:
   """Return contacts in a row that do not follow from the state; only the first `found` rows are contacts."""
   rows = torch.arange(count)
   return Contacts(
@@ -97,7 +98,7 @@ def told(count: int, world: int, found: int | None = None) -> Contacts[torch.Ten
 @pytest.fixture
 def env() -> BoxEnv:
   env = BoxEnv(WORLDS)
-  env.sim.told = {world: told(2 + world, world) for world in range(WORLDS)}
+  env.sim.known_contacts = {world: known(2 + world, world) for world in range(WORLDS)}
   return env
 
 
@@ -109,63 +110,60 @@ def test_a_snapshot_has_the_contacts_of_the_selected_world_or_of_each(env: BoxEn
   assert SnapshotTaker(env).take((2, 0)).contacts == []
 
 
-def test_rows_that_are_no_contacts_and_those_of_a_diverged_world_are_left_out(env: BoxEnv) -> None:
-  env.sim.told[0] = told(6, 0, found=3)
-  env.sim.told[0].force[1] = torch.nan
+def test_empty_rows_and_rows_that_are_not_finite_are_left_out(env: BoxEnv) -> None:
+  env.sim.known_contacts[0] = known(6, 0, found=3)
+  env.sim.known_contacts[0].force[1] = torch.nan
   (contacts,) = SnapshotTaker(env, contacts=True).take((0,)).contacts
   np.testing.assert_allclose(contacts.pos[:, 0], [0.0, 2.0])
 
 
-@pytest.mark.parametrize("tells", [True, False])
-def test_pictures_show_what_the_simulation_tells_and_else_what_mujoco_computes(
-  opengl: None, env: BoxEnv, tells: bool
-) -> None:
+@pytest.mark.parametrize("are_known", [True, False])
+def test_pictures_show_contacts_of_the_simulation_or_else_of_mujoco(opengl: None, env: BoxEnv, are_known: bool) -> None:
   for _ in range(60):
     env.step(torch.zeros(WORLDS, 1))
-  if not tells:
-    env.sim.told.clear()
+  if not are_known:
+    env.sim.known_contacts.clear()
   cfg = PictureCfg(width=96, height=72, shadows=False, contacts=True)
   with OffscreenRenderer(env.sim.mj_model, cfg) as renderer:
     for world in range(WORLDS):
       renderer.render(SnapshotTaker(env, contacts=True).take((world,)))
       geoms = renderer._scene.geoms[: renderer._scene.ngeom]
       arrows = [geom.pos for geom in geoms if geom.type == mujoco.mjtGeom.mjGEOM_ARROW]
-      expected = env.sim.told[world].pos.numpy() if tells else env.sim.datas[world].contact.pos
+      expected = env.sim.known_contacts[world].pos.numpy() if are_known else env.sim.datas[world].contact.pos
       np.testing.assert_allclose(arrows, expected, atol=1e-5)
 
 
-def test_the_page_shows_what_the_simulation_tells_of_the_selected_world(env: BoxEnv) -> None:
+def test_the_page_shows_contacts_of_the_selected_world(env: BoxEnv) -> None:
   with BrowserViewer(env, port=8300) as viewer:
     page, taker = viewer.scene, SnapshotTaker(env, contacts=True)
     for points, forces in ((False, False), (True, False), (True, True)):
       page.scene.show_contact_points, page.scene.show_contact_forces = points, forces
       for world in (2, 0):
         page.show(taker.take((world, 1)))
-        expected = env.sim.told[world].pos.numpy()
+        expected = env.sim.known_contacts[world].pos.numpy()
         for name, shown in (("ellipsoid", points), ("shaft", forces), ("head", forces)):
           handle = page._shapes._handles.get(name)
           assert (handle is not None and handle.visible) == shown
           if handle is not None and shown and name != "head":
             middle = page.scene.fixed_bodies_frame.position
             np.testing.assert_allclose(handle.batched_positions, expected + middle, atol=1e-5)
-        # mjviser draws none of its own.
+        # mjviser draws no contacts.
         assert not any(handle.visible for handle in page.scene._decor_handles.values())
     width = np.asarray(page._shapes._handles["shaft"].batched_scales)[0, 0]
     assert width == pytest.approx(3 * env.sim.mj_model.vis.scale.forcewidth * env.sim.mj_model.stat.meansize)
-    inputs = {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
-    inputs["Split normal/friction"].value = True
+    inputs_of(viewer)["Split normal/friction"].value = True
     page.show(taker.take((0, 1)))
     assert len(page._shapes._handles["shaft"].batched_positions) == 4
 
 
-def test_without_contacts_of_its_own_the_page_shows_those_of_the_state(env: BoxEnv) -> None:
-  env.sim.told.clear()
+def test_without_known_contacts_the_page_shows_those_of_the_state(env: BoxEnv) -> None:
+  env.sim.known_contacts.clear()
   for _ in range(60):
     env.step(torch.zeros(WORLDS, 1))
   with BrowserViewer(env, port=8300) as viewer:
     viewer.scene.scene.show_contact_forces = True
     viewer.scene.show(SnapshotTaker(env, contacts=True).take((1,)))
     shafts = viewer.scene._shapes._handles["shaft"]
-    # Beside the robot that is followed, wherever that is.
+    # Relative to the followed robot.
     expected = env.sim.datas[1].contact.pos - env.sim.datas[1].xpos[1]
     np.testing.assert_allclose(shafts.batched_positions, expected, atol=1e-5)

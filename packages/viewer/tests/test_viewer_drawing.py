@@ -1,4 +1,4 @@
-"""What is drawn arrives, whatever it is made of and however much of it there is."""
+"""Drawings of shapes, from NumPy and torch, up to thousands."""
 
 import mujoco
 import numpy as np
@@ -25,14 +25,10 @@ def geoms(draw: DrawList, maxgeom: int = 100) -> list[mujoco.MjvGeom]:
   return list(scene.geoms[: scene.ngeom])
 
 
-def test_a_draw_list_is_what_the_contract_asks_for() -> None:
-  draw: DebugDraw = DrawList((3, 1))
-  assert tuple(draw.worlds) == (3, 1)
-
-
 @pytest.mark.parametrize("make", [np.array, torch.tensor])
 def test_an_arrow_begins_at_its_start_and_points_at_its_end(make) -> None:
-  draw = DrawList()
+  draw: DebugDraw = DrawList((3, 1))
+  assert tuple(draw.worlds) == (3, 1)
   draw.arrows(make([[1.0, 2.0, 3.0]]), make([[1.0, 2.0, 5.0]]), RED, 0.1)
   (arrow,) = geoms(draw)
   assert arrow.type == mujoco.mjtGeom.mjGEOM_ARROW
@@ -42,7 +38,7 @@ def test_an_arrow_begins_at_its_start_and_points_at_its_end(make) -> None:
   np.testing.assert_allclose(arrow.rgba, RED)
 
 
-def test_every_shape_has_its_own_colour_and_size() -> None:
+def test_shapes_of_one_call_differ_in_colour_and_size() -> None:
   draw = DrawList()
   colors = torch.tensor([[1.0, 0.0, 0.0, 0.25], [0.0, 1.0, 0.0, 0.5], [0.0, 0.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])
   draw.spheres(torch.zeros(4, 3), torch.tensor([0.1, 0.2, 0.3, 0.4]), colors)
@@ -90,7 +86,7 @@ def test_a_mesh_that_the_model_lacks_and_rows_of_nan_are_left_out() -> None:
 @pytest.mark.parametrize(
   ("room", "kept"), [(1000, (70, 7, 300)), (377, (70, 7, 300)), (100, (18, 2, 80)), (0, (0, 0, 0)), (-5, (0, 0, 0))]
 )
-def test_where_there_is_no_room_for_all_shapes_are_left_out_evenly(room: int, kept: tuple[int, ...]) -> None:
+def test_without_room_for_all_shapes_some_are_left_out_evenly(room: int, kept: tuple[int, ...]) -> None:
   draw = DrawList()
   along = np.arange(300.0)[:, None] * [[0.01, 0.0, 0.0]]
   draw.spheres(along[:70], 0.1, RED)

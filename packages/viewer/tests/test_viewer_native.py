@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-# Everything in one window: they take long to open, and a process has room for one.
+# One window for all: windows open slowly, and a process can open only one.
 SCRIPT = """
 import os
 import time
@@ -25,17 +25,17 @@ from viewer_env import BoxEnv
 
 env = BoxEnv(3)
 env.draws_at_first = True
-told = Contacts(
+known = Contacts(
   found=torch.tensor([True, True, True, False]), geom=torch.tensor([[0, 1]] * 4), pos=torch.rand(4, 3),
   dist=torch.zeros(4), normal=torch.eye(3)[[0, 1, 2, 0]], force=torch.ones(4, 3),
 )
-env.sim.told = dict.fromkeys(range(3), told)
+env.sim.known_contacts = dict.fromkeys(range(3), known)
 # World 1 has a small blue box with another ornament.
 model, box = env.sim.mj_model, env.sim.mj_model.geom("box").id
 env.sim.expand("geom_rgba")[1, box] = torch.tensor([0.1, 0.1, 0.9, 1.0])
 env.sim.expand("geom_size")[1, box] *= 0.5
 env.sim.expand("geom_dataid")[1, model.geom("ornament").id] = model.mesh("spike").id
-# Time passes frame by frame, however fast the machine is.
+# Time passes frame by frame, at any speed of the machine.
 clock = SimpleNamespace(now=100.0)
 playback = Playback(env, ZeroPolicy(3, 1, env.sim.device), clock=lambda: clock.now)
 before = np.zeros(mujoco.mj_sizeModel(env.sim.mj_model), dtype=np.uint8)
@@ -60,7 +60,7 @@ def press(key):
   frames()
 
 def eventually(holds):
-  "Wait for the thread that draws, whose pictures come when they come."
+  "Wait for pictures of the thread that draws."
   end = time.monotonic() + 300
   while not holds():
     assert time.monotonic() < end, "it did not happen"
@@ -92,7 +92,7 @@ with NativeViewer(playback) as viewer:
   assert viewer.window.user_scn.ngeom == 0
   press(ord("R"))
 
-  # Contacts that the simulation tells of, and none that the window's own data would have.
+  # Contacts of the simulation, and none from the window's data.
   shown = lambda: viewer.window.user_scn.ngeom
   playback.resume()
   frames(120)
@@ -105,12 +105,12 @@ with NativeViewer(playback) as viewer:
     frames()
     assert shown() == count
   assert viewer._world.data.ncon == 0
-  # These alone: without lights all of the picture would change, some time later.
+  # Only these flags: without lights the whole picture would change later.
   viewer.window.opt.flags[flags] = 0
   frames()
   assert shown() == 1
 
-  # Seen are the box, and plots in the right third of the window.
+  # Plots are in the right third of the window.
   eventually(lambda: seen(0) > 200 and seen(2) < 20)
   height, width = viewer.window.viewport.height, viewer.window.viewport.width
   third = lambda: screen()[10:height - 10, 2 * width // 3 + 5:width - 5]
@@ -124,7 +124,7 @@ with NativeViewer(playback) as viewer:
   assert viewer._plots.page is None
   eventually(lambda: changed() < 0.005)
 
-  # More shapes than the window has room for: evenly fewer, and said so.
+  # Shapes without room in the window are left out evenly and counted.
   assert viewer._own_geoms < 2000 and viewer.window.user_scn.maxgeom == 100_000
   # So many shapes would take a CPU half a minute to draw.
   viewer._own_geoms = viewer.window.user_scn.maxgeom - 50
@@ -137,7 +137,7 @@ with NativeViewer(playback) as viewer:
   frames()
   assert shown() == 1 and viewer.num_undrawn == 0
 
-  # A drawing that fails pauses, and is said in the window; reset goes on.
+  # The error of a drawing pauses and is shown in the window; reset continues.
   env.command.debug_draw = lambda draw: 1 / 0
   frames()
   assert playback.error == "viewer: ZeroDivisionError: division by zero"
@@ -147,7 +147,7 @@ with NativeViewer(playback) as viewer:
   frames(10)
   assert playback.error is None and playback.step_count > 5
 
-  # A world that diverged stays as it was; the eye follows it again once it is back.
+  # A diverged world stays as it was; the camera follows it again after a reset.
   box = env.sim.datas[2].qpos
   playback.pause()
   box[:] = env.sim.datas[2].xpos[:] = np.nan
@@ -160,7 +160,7 @@ with NativeViewer(playback) as viewer:
   assert "not finite" not in viewer._status()[1] and playback.step_count > 5
   np.testing.assert_allclose(viewer.window.cam.lookat, env.sim.datas[2].xpos[1], atol=1e-6)
 
-  # A pull on the box of the world that is shown, and on no other; gone when it is let go.
+  # Dragging pulls the box of the shown world alone, until it is released.
   perturb = viewer.window.perturb
   perturb.select = 1
   perturb.localmass = 1.0
@@ -173,7 +173,7 @@ with NativeViewer(playback) as viewer:
   viewer._drag()
   assert not env.sim.data.xfrc_applied.any()
 
-# Nothing is left that draws: it would hang the process at its end.
+# A thread that still draws would hang the process at its end.
 assert not any(thread.is_alive() for thread in viewer._window_threads) and viewer._window_threads
 
 after = np.zeros_like(before)
@@ -187,12 +187,12 @@ print("everything held")
 def screen() -> Iterator[str]:
   if shutil.which("Xvfb") is None:
     pytest.skip("needs Xvfb (on Debian: apt install xvfb)")
-  # It chooses a free display, and tells its number once it can be used.
-  told, tell = os.pipe()
-  command = ["Xvfb", "-displayfd", str(tell), "-screen", "0", "800x600x24"]
-  server = subprocess.Popen(command, pass_fds=(tell,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-  os.close(tell)
-  with open(told) as pipe:
+  # Xvfb chooses a free display and writes its number once it is ready.
+  reader, writer = os.pipe()
+  command = ["Xvfb", "-displayfd", str(writer), "-screen", "0", "800x600x24"]
+  server = subprocess.Popen(command, pass_fds=(writer,), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+  os.close(writer)
+  with open(reader) as pipe:
     number = pipe.readline().strip()
   assert number, "Xvfb does not start"
   yield f":{number}"

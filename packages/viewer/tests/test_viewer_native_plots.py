@@ -1,4 +1,4 @@
-"""Plots over MuJoCo's window: what is on which page, and that curves are the numbers there were."""
+"""Plots over MuJoCo's window: pages and curves."""
 
 import mujoco
 import numpy as np
@@ -36,12 +36,9 @@ def test_pages_are_turned_group_by_group_and_end_with_none() -> None:
   made.turn()
   assert made.page is None
   assert made.figures(WINDOW, 0.02) == []
-
-
-def test_nothing_to_plot_is_no_page() -> None:
-  made = NativePlots({"rewards": []})
-  made.turn()
-  assert made.page is None
+  empty = NativePlots({"rewards": []})
+  empty.turn()
+  assert empty.page is None
 
 
 def test_curves_are_the_values_over_time_each_under_its_name() -> None:
@@ -67,7 +64,7 @@ def test_figures_are_below_one_another_in_the_right_third_of_the_window() -> Non
   assert places == [(610, 420, 300, 200), (610, 220, 300, 200), (610, 20, 300, 200)]
 
 
-def test_another_world_begins_anew_and_a_moment_counts_once() -> None:
+def test_another_world_begins_new_curves_and_a_moment_counts_once() -> None:
   made = plots(1)
   for step in (1, 2, 2, 2, 3):
     made.add(moment(step, [float(step)]))
@@ -79,7 +76,7 @@ def test_another_world_begins_anew_and_a_moment_counts_once() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_what_is_not_finite_is_left_out(bad: float) -> None:
+def test_values_that_are_not_finite_are_left_out(bad: float) -> None:
   made = plots(2)
   for step, value in enumerate((1.0, bad, 3.0)):
     made.add(moment(step, [value, bad]))

@@ -15,25 +15,16 @@ import numpy as np
 import pytest
 import torch
 from mjlab_core import RenderingError
-from mjlab_viewer import (
-  BackgroundVideo,
-  CameraCfg,
-  OffscreenRenderer,
-  PictureCfg,
-  Replay,
-  SnapshotTaker,
-  TrainingVideo,
-  VideoFile,
-)
+from mjlab_viewer import BackgroundVideo, CameraCfg, OffscreenRenderer, PictureCfg, Replay, TrainingVideo, VideoFile
 from mjlab_viewer.pictures.offscreen import tiles
-from mjlab_viewer.snapshot import Snapshot
+from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 from viewer_env import GROUND, BoxEnv
 
 SMALL = PictureCfg(width=96, height=72, shadows=False)
 
 
 def red(picture: np.ndarray) -> np.ndarray:
-  """Where the red box is, bool (height, width)."""
+  """Return the pixels of the red box, bool (height, width)."""
   image = picture.astype(int)
   return (image[..., 0] > 60) & (image[..., 0] > 2 * image[..., 1]) & (image[..., 0] > 2 * image[..., 2])
 
@@ -43,7 +34,7 @@ def middle(mask: np.ndarray) -> np.ndarray:
   return np.array([columns.mean() / mask.shape[1], rows.mean() / mask.shape[0]])
 
 
-def test_the_camera_follows_the_robot_wherever_it_is(opengl: None) -> None:
+def test_the_camera_follows_the_robot_of_each_world(opengl: None) -> None:
   env = BoxEnv(4)
   taker = SnapshotTaker(env)
   with OffscreenRenderer(env.sim.mj_model, SMALL) as renderer:
@@ -53,7 +44,7 @@ def test_the_camera_follows_the_robot_wherever_it_is(opengl: None) -> None:
       np.testing.assert_allclose(middle(red(picture)), [0.5, 0.5], atol=0.06)
 
 
-def test_every_world_has_a_tile_of_its_own(opengl: None) -> None:
+def test_every_world_has_a_tile(opengl: None) -> None:
   env = BoxEnv(4)
   with OffscreenRenderer(env.sim.mj_model, SMALL) as renderer:
     picture = red(renderer.render(SnapshotTaker(env).take((0, 1, 2, 3))))
@@ -124,7 +115,7 @@ def test_a_video_holds_the_frames_given_and_appears_only_when_whole(tmp_path: Pa
   assert [file.name for file in path.parent.iterdir()] == ["film.mp4"]
 
 
-def test_a_film_is_given_up_where_the_disk_takes_nothing(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_film_ends_where_the_disk_is_full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   def full(*_: object, **__: object) -> NoReturn:
     raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -135,7 +126,7 @@ def test_a_film_is_given_up_where_the_disk_takes_nothing(monkeypatch: pytest.Mon
   video = VideoFile(tmp_path / "film.mp4", 50)
   with pytest.raises(OSError, match="No space left"):
     video.add(np.zeros((8, 8, 3), np.uint8))
-  # It was waited for without end in the background, where this is done.
+  # The thread in the background waited forever here.
   video.discard()
 
 
@@ -155,9 +146,7 @@ def test_a_film_made_in_the_background_shows_every_step(opengl: None, tmp_path: 
   assert len(frames(tmp_path / "film.mp4")) == 40
 
 
-def test_without_opengl_a_film_fails_in_one_line_and_nothing_else_does(
-  monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_without_opengl_only_the_film_fails_with_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   monkeypatch.setenv("MUJOCO_GL", "disabled")
   env = BoxEnv(1)
   video = BackgroundVideo(tmp_path / "film.mp4", 50, env.sim.mj_model)
@@ -192,7 +181,7 @@ def test_a_drawing_that_fails_ends_the_films_of_a_training_and_not_the_training(
 
 
 @pytest.mark.parametrize("room", [1, 32])
-def test_films_in_quick_succession_are_all_made_by_one_thread_and_have_their_length(
+def test_one_thread_makes_all_films_in_full_length(
   opengl: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, room: int
 ) -> None:
   monkeypatch.setattr("mjlab_viewer.pictures.video._ROOM", room)
@@ -213,7 +202,7 @@ def test_films_in_quick_succession_are_all_made_by_one_thread_and_have_their_len
   assert not films.is_off
   assert {path.name for path in tmp_path.iterdir()} == {f"step_{step}.mp4" for step in range(0, 42, 4)}
   lengths = [len(frames(tmp_path / f"step_{step}.mp4")) for step in range(0, 42, 4)]
-  # The last film was cut by the end.
+  # The end of the training cuts the last film.
   assert lengths == [3] * 10 + [2]
   assert len(threads) == 1
   assert not [thread for thread in threading.enumerate() if thread.name == "video"]
@@ -228,7 +217,7 @@ def test_torchs_compiler_can_be_loaded_after_a_picture(opengl: None) -> None:
   subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() -> None:
+def test_without_a_library_of_opengl_the_error_says_what_to_install() -> None:
   code = (
     "import os, ctypes.util; os.environ.pop('MUJOCO_GL', None); os.environ.pop('DISPLAY', None)\n"
     "ctypes.util.find_library = lambda name: None\n"
@@ -236,13 +225,13 @@ def test_where_no_library_of_opengl_is_found_the_message_says_what_to_install() 
     "try: make_context(8, 8)\n"
     "except ValueError as error: print(error)"
   )
-  told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-  assert "neither EGL nor OSMesa is installed" in told
-  assert told.count("\n") == 1
+  said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+  assert "neither EGL nor OSMesa is installed" in said
+  assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize("distance", [1.0, 4.0])
-def test_shadows_are_where_the_light_is_hidden_near_and_far_from_the_origin(opengl: None, distance: float) -> None:
+def test_shadows_fall_where_the_box_hides_the_light_near_and_far_from_the_origin(opengl: None, distance: float) -> None:
   model = mujoco.MjModel.from_xml_string(GROUND)
   qpos = np.tile(model.qpos0, (2, 1, 1))
   qpos[1, 0, 0] = 30.0
@@ -262,7 +251,7 @@ def test_shadows_are_where_the_light_is_hidden_near_and_far_from_the_origin(open
 
 
 def _hidden_ground(offset: np.ndarray, light: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-  """Return which pixels look at ground that the box of `GROUND` hides from the light, bool (height, width)."""
+  """Return the pixels of ground in the shadow of the box of `GROUND`, bool (height, width)."""
   height, width = shape
   center, half = np.array((0.0, 0.0, 0.5)), np.array((0.2, 0.1, 0.1))
   forward = -offset / np.linalg.norm(offset)
@@ -288,7 +277,7 @@ def test_films_have_the_ground_and_sky_of_the_page_without_speckles_where_shadow
     cfg = PictureCfg(width=320, height=240, camera=CameraCfg(distance=4.0), look=look)
     with OffscreenRenderer(model, cfg) as renderer:
       seen[look] = renderer.render(snapshot).astype(int)
-  # Ground in the shadow of nothing, which is dark by itself.
+  # Dark ground outside of any shadow.
   speckles = {look: (image[150:170, 100:140].max(axis=2) < 40).sum() for look, image in seen.items()}
   assert speckles == {"model": 0, "page": 0}
   ground = seen["page"][130:]
@@ -297,5 +286,5 @@ def test_films_have_the_ground_and_sky_of_the_page_without_speckles_where_shadow
   assert (seen["page"][:20] > 250).all()
   # Lines, and one shadow.
   assert 30 < (ground.max(axis=2) < 200)[is_grey].sum() < 5000
-  # The simulation's own model looks as before.
+  # The model of the simulation has not changed.
   assert model.tex_data.min() < 60

@@ -1,4 +1,6 @@
-"""Time, errors and memory of a policy while somebody watches."""
+"""Time, errors and memory of a policy in a playback."""
+
+from typing import Any
 
 import pytest
 import torch
@@ -7,7 +9,7 @@ from viewer_env import BoxEnv
 
 
 class Clock:
-  """Time that passes when it is told to, and for every step a little."""
+  """Time that the test moves."""
 
   def __init__(self) -> None:
     self.now = 100.0
@@ -20,8 +22,14 @@ def zero(env: BoxEnv) -> ZeroPolicy:
   return ZeroPolicy(env.num_envs, 1, env.sim.device)
 
 
+def started(policy: Any = None) -> tuple[BoxEnv, Clock, Playback]:
+  """Return a playback of one world, by default with actions of zero."""
+  env, clock = BoxEnv(1), Clock()
+  return env, clock, Playback(env, policy or zero(env), clock=clock)
+
+
 def run(playback: Playback, clock: Clock, seconds: float, frame: float = 0.01) -> int:
-  """Ticks of `frame` [s] for some time; returns the steps done."""
+  """Tick every `frame` [s] for some time, and return the number of steps."""
   done = 0
   for _ in range(round(seconds / frame)):
     clock.now += frame
@@ -30,9 +38,8 @@ def run(playback: Playback, clock: Clock, seconds: float, frame: float = 0.01) -
 
 
 @pytest.mark.parametrize("speed", SPEEDS)
-def test_at_a_speed_so_many_seconds_pass_in_each_second(speed: float) -> None:
-  env, clock = BoxEnv(1), Clock()
-  playback = Playback(env, zero(env), clock=clock)
+def test_speed_scales_the_simulated_time(speed: float) -> None:
+  env, clock, playback = started()
   playback.speed = speed
   playback.tick()
   run(playback, clock, 4.0)
@@ -42,15 +49,15 @@ def test_at_a_speed_so_many_seconds_pass_in_each_second(speed: float) -> None:
     assert playback.real_time_factor == pytest.approx(speed, rel=0.25)
 
 
-def test_time_that_the_machine_cannot_make_up_for_is_dropped_and_flagged() -> None:
-  env, clock = BoxEnv(1), Clock()
+def test_time_that_a_slow_machine_cannot_make_up_for_is_dropped_and_flagged() -> None:
+  env, clock, playback = started()
   zeros = zero(env)
 
   def slow(observations: object) -> torch.Tensor:
     clock.now += 0.1
     return zeros(observations)
 
-  playback = Playback(env, slow, clock=clock)
+  playback.policy = slow
   playback.tick()
   clock.now += 10.0
   assert playback.tick() == 1
@@ -60,8 +67,8 @@ def test_time_that_the_machine_cannot_make_up_for_is_dropped_and_flagged() -> No
   assert not playback.is_capped
 
 
-def test_an_error_in_the_policy_pauses_is_kept_and_is_forgotten_by_reset() -> None:
-  env, clock = BoxEnv(1), Clock()
+def test_an_error_of_the_policy_pauses_until_reset_or_resume() -> None:
+  env, clock, playback = started()
   zeros = zero(env)
   is_broken = True
 
@@ -70,7 +77,7 @@ def test_an_error_in_the_policy_pauses_is_kept_and_is_forgotten_by_reset() -> No
       raise RuntimeError("shapes do\nnot fit")
     return zeros(observations)
 
-  playback = Playback(env, policy, clock=clock)
+  playback.policy = policy
   playback.tick()
   assert run(playback, clock, 1.0) == 0
   assert playback.paused
@@ -88,9 +95,8 @@ def test_an_error_in_the_policy_pauses_is_kept_and_is_forgotten_by_reset() -> No
   assert run(playback, clock, 0.1) > 0
 
 
-def test_an_error_in_a_control_pauses_and_is_shown() -> None:
-  env, clock = BoxEnv(1), Clock()
-  playback = Playback(env, zero(env), clock=clock)
+def test_an_error_of_a_control_pauses_and_is_shown() -> None:
+  env, _, playback = started()
   playback.request(lambda: env.command.steer(0, 5))
   playback.tick()
   assert playback.paused
@@ -99,8 +105,7 @@ def test_an_error_in_a_control_pauses_and_is_shown() -> None:
 
 
 def test_single_steps_are_taken_only_while_paused() -> None:
-  env, clock = BoxEnv(1), Clock()
-  playback = Playback(env, zero(env), clock=clock)
+  _, clock, playback = started()
   playback.step_once()
   assert playback.step_count == 0
   playback.pause()
@@ -111,8 +116,7 @@ def test_single_steps_are_taken_only_while_paused() -> None:
 
 
 def test_time_spent_paused_is_not_made_up_for() -> None:
-  env, clock = BoxEnv(1), Clock()
-  playback = Playback(env, zero(env), clock=clock)
+  _, clock, playback = started()
   playback.tick()
   playback.pause()
   run(playback, clock, 10.0, frame=1.0)
@@ -120,21 +124,15 @@ def test_time_spent_paused_is_not_made_up_for() -> None:
   assert run(playback, clock, 1.0) == pytest.approx(50, abs=1)
 
 
-def test_speeds_are_powers_of_two_and_end() -> None:
-  env = BoxEnv(1)
-  playback = Playback(env, zero(env))
-  playback.faster()
-  assert playback.speed == 2.0
-  playback.faster(-2)
-  assert playback.speed == 0.5
-  playback.faster(100)
-  assert playback.speed == 8.0
-  playback.faster(-100)
-  assert playback.speed == 1 / 32
+def test_speeds_are_powers_of_two_within_bounds() -> None:
+  _, _, playback = started()
+  for steps, speed in ((1, 2.0), (-2, 0.5), (100, 8.0), (-100, 1 / 32)):
+    playback.faster(steps)
+    assert playback.speed == speed
 
 
 class Counter:
-  """A policy that remembers how often each world asked since its last reset."""
+  """A policy that counts the calls of each world since its last reset."""
 
   def __init__(self, num_envs: int) -> None:
     self.asked = torch.zeros(num_envs)
@@ -147,10 +145,9 @@ class Counter:
     self.asked[slice(None) if dones is None else dones] = 0
 
 
-def test_a_policy_that_remembers_forgets_with_the_world_whose_episode_ended() -> None:
-  env, clock = BoxEnv(2, length=5), Clock()
-  policy = Counter(2)
-  playback = Playback(env, policy, clock=clock)
+def test_the_memory_of_a_policy_is_reset_with_its_world() -> None:
+  env, policy = BoxEnv(2, length=5), Counter(2)
+  playback = Playback(env, policy)
   env.age[1] = 3
   playback.pause()
   for _ in range(3):
@@ -165,10 +162,12 @@ def test_a_policy_that_remembers_forgets_with_the_world_whose_episode_ended() ->
   assert other.asked.tolist() == [0, 0]
 
 
-def test_random_actions_draw_nothing_from_anybody_elses_generator_and_fill_the_range() -> None:
+def test_random_actions_fill_the_range_and_leave_the_global_generator_alone() -> None:
+  before = torch.get_rng_state()
   policy = RandomPolicy(1000, 3, torch.device("cpu"))
   actions = policy(None)
   assert actions.shape == (1000, 3)
   assert actions.min() < -0.9
   assert actions.max() > 0.9
   assert actions.abs().max() <= 1.0
+  assert torch.equal(torch.get_rng_state(), before)

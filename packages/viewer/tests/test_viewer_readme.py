@@ -1,4 +1,4 @@
-"""The example in the README runs, and what is said of imports is so."""
+"""The example in the README, and the imports of pictures."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Stored moments as worlds that can be watched, held and filmed."""
+"""Replays of stored moments: steps, pauses and films."""
 
 from pathlib import Path
 
@@ -7,22 +7,14 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_viewer import (
-  BrowserViewer,
-  OffscreenRenderer,
-  PictureCfg,
-  Playback,
-  Replay,
-  SnapshotTaker,
-  ZeroPolicy,
-)
+from mjlab_viewer import BrowserViewer, OffscreenRenderer, PictureCfg, Playback, Replay, SnapshotTaker, ZeroPolicy
 from viewer_env import BOX
 
 MODEL: mujoco.MjModel = mujoco.MjModel.from_xml_string(BOX)
 
 
 def rising(moments: int = 7, **model_fields: np.ndarray) -> Replay:
-  """Two worlds whose boxes rise by 0.1 m at each moment, the second one a metre to the side."""
+  """Return two worlds whose boxes rise by 0.1 m at each moment, the second one metre to the side."""
   qpos = np.tile(MODEL.qpos0, (moments, 2, 1))
   qpos[:, 1, 0] += 1.0
   qpos[..., 2] += 0.1 * np.arange(moments)[:, None]
@@ -33,7 +25,7 @@ def heights(replay: Replay) -> list[float]:
   return [round(height, 3) for height in SnapshotTaker(replay).take((0, 1)).data["xpos"][:, 1, 2].tolist()]
 
 
-def test_one_moment_follows_another_and_then_the_first() -> None:
+def test_the_first_moment_follows_the_last() -> None:
   replay = rising(3)
   seen, ends = [heights(replay)], []
   for _ in range(4):
@@ -58,7 +50,7 @@ def test_poses_are_those_of_mujoco_with_each_worlds_own_model() -> None:
   assert replay.signals()["qpos"][1].tolist()[1] == snapshot.data["qpos"][0].tolist()
 
 
-def test_a_replay_goes_on_from_the_moment_that_is_shown() -> None:
+def test_a_replay_goes_on_from_the_shown_moment() -> None:
   replay = rising(5)
   playback = Playback(replay, ZeroPolicy(2, 0, torch.device("cpu")))
   replay.show(3)
@@ -107,7 +99,7 @@ def test_moving_the_time_line_of_a_replay_pauses_it_there_and_play_goes_on() -> 
     assert replay.at == 3
 
 
-def test_what_is_written_to_a_moment_that_is_shown_is_not_stored() -> None:
+def test_writing_to_the_shown_moment_is_not_stored() -> None:
   replay = rising(2)
   replay.sim.data.qpos[:] += 1.0
   replay.step(None)
@@ -124,7 +116,7 @@ def test_a_film_shows_every_moment_once(opengl: None, tmp_path: Path) -> None:
     pictures = [frame.to_ndarray(format="rgb24").astype(int) for frame in container.decode(video=0)]
     assert container.streams.video[0].average_rate == 0.5 / (2 * 0.02)
   assert len(pictures) == 4
-  # The camera follows the box, so it is the floor that sinks away.
+  # The camera follows the box, so that the floor sinks.
   assert np.abs(pictures[-1] - pictures[0]).mean() > 2.0
 
 

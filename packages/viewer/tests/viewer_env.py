@@ -1,4 +1,4 @@
-"""A small environment for viewers: boxes that fall and slide, one MjData each, everything as plain as it can be."""
+"""A small environment for viewers: boxes that fall and slide, one MjData each."""
 
 from typing import Any
 
@@ -47,7 +47,7 @@ GROUND = """
 
 
 class BoxData:
-  """Fields of all worlds; every read is a copy, but velocities and forces, which may be written to."""
+  """Fields of all worlds. Velocities and forces can be written, other fields are copies."""
 
   def __init__(self, datas: list[mujoco.MjData]) -> None:
     self._datas = datas
@@ -66,25 +66,25 @@ class BoxSim:
     self.datas = [mujoco.MjData(self.mj_model) for _ in range(num_envs)]
     self.data = BoxData(self.datas)
     self.model: dict[str, torch.Tensor] = {}
-    self.told: dict[int, Any] = {}
-    """Contacts of worlds that are told of; None of those are computed anew by whoever looks."""
+    self.known_contacts: dict[int, Any] = {}
+    """Contacts by world; viewers compute those of other worlds from the state."""
 
   def contacts(self, world: int) -> Any:
-    return self.told.get(world)
+    return self.known_contacts.get(world)
 
   @property
   def expanded_fields(self) -> tuple[str, ...]:
     return tuple(self.model)
 
   def expand(self, name: str) -> torch.Tensor:
-    """Give a model field one value per world, to be written to."""
+    """Give a model field one writable value per world."""
     value = torch.from_numpy(np.array(getattr(self.mj_model, name)))
     self.model[name] = value.expand(self.num_envs, *value.shape).clone()
     return self.model[name]
 
 
 class SpeedCommand:
-  """A command of two numbers that can be steered and draws itself."""
+  """A command of two numbers with manual values and a drawing."""
 
   axes = (("forward", -1.0, 1.0), ("left", -0.5, 0.5))
 
@@ -147,7 +147,7 @@ class BoxEnv:
       data.xfrc_applied[:] = self.sim.data.xfrc_applied[world].numpy()
       data.qfrc_applied[0] = float(action[world, 0])
       mujoco.mj_step(self.sim.mj_model, data)
-      # What is derived describes the state that is.
+      # Derived quantities describe the new state.
       mujoco.mj_forward(self.sim.mj_model, data)
       self.sim.data.qvel[world] = torch.from_numpy(data.qvel)
     self.age += 1

@@ -1,14 +1,19 @@
-"""The page of the browser viewer in a real browser, for tests."""
+"""The page of the browser viewer, with and without a real browser, for tests."""
 
+import io
 import shutil
 import threading
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from typing import Any
 
+import numpy as np
 import pytest
-from mjlab_viewer import BrowserViewer
+from mjlab_viewer import BrowserViewer, Playback, Snapshot, ZeroPolicy
+from PIL import Image
 from playwright.sync_api import Browser, Locator, Page, ViewportSize, sync_playwright
+from viewer_env import BoxEnv
 
 # Chromium without a GPU, a sandbox or a network.
 FLAGS = """--no-sandbox --use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --disable-quic --no-first-run
@@ -20,7 +25,7 @@ PATIENCE = 300.0
 
 @contextmanager
 def headless_chromium() -> Generator[Browser]:
-  """The machine's own Chromium; skips the test where there is none."""
+  """Start the installed Chromium, or skip the test without one."""
   executable = shutil.which("chromium") or shutil.which("chromium-browser")
   if executable is None:
     pytest.skip("needs Chromium (on Debian: apt install chromium)")
@@ -32,7 +37,7 @@ def headless_chromium() -> Generator[Browser]:
 
 @contextmanager
 def closing_pages(browser: Browser) -> Generator[Browser]:
-  """Close the pages that a test opened: one that stays connects to the next server on its port."""
+  """Close the pages of a test: an open page connects to the next server on its port."""
   try:
     yield browser
   finally:
@@ -41,7 +46,7 @@ def closing_pages(browser: Browser) -> Generator[Browser]:
 
 
 def eventually(holds: Callable[[], object], what: str = "", seconds: float = PATIENCE) -> None:
-  """Waits until something holds; the browser is slow where it has no GPU."""
+  """Wait until something holds; a browser without a GPU is slow."""
   end = time.monotonic() + seconds
   while not holds():
     assert time.monotonic() < end, what or "it did not happen"
@@ -51,9 +56,9 @@ def eventually(holds: Callable[[], object], what: str = "", seconds: float = PAT
 
 @contextmanager
 def stepping(viewer: BrowserViewer) -> Generator[None]:
-  """Runs a viewer's loop in a thread of its own, as it does in a process of its own; closes the viewer at the end."""
+  """Run the loop of a viewer in a separate thread, and close the viewer at the end."""
   is_over = threading.Event()
-  # Whatever it does, it does not keep the tests from ending.
+  # A daemon does not keep the tests from ending.
   thread = threading.Thread(target=viewer.run, args=(is_over.is_set,), daemon=True)
   thread.start()
   try:
@@ -80,7 +85,7 @@ STILL = """addEventListener("DOMContentLoaded", () => {
 
 
 def patient_page(browser: Browser) -> Page:
-  """Open an empty page without slow transitions; without a limit of its own, Playwright gives up after 30 s."""
+  """Open an empty page without slow transitions; the default limit of Playwright is 30 s."""
   page = browser.new_page(viewport=SIZE, reduced_motion="reduce")
   page.add_init_script(STILL)
   page.set_default_timeout(1000 * PATIENCE)
@@ -92,6 +97,15 @@ def opened(browser: Browser, url: str) -> Page:
   page.goto(url)
   page.get_by_role("button", name="Reset").wait_for()
   return page
+
+
+def pixels(page: Page) -> np.ndarray:
+  """Return the page left of its controls, int (height, width, 3)."""
+  return np.asarray(Image.open(io.BytesIO(page.screenshot()))).astype(int)[:, :340, :3]
+
+
+def is_red(image: np.ndarray) -> np.ndarray:
+  return (image[..., 0] > 90) & (image[..., 0] > 2 * image[..., 1:].max(axis=2))
 
 
 def press_until(button: Locator, holds: Callable[[], object]) -> None:
@@ -116,3 +130,42 @@ def slide(page: Page, label: str, value: float) -> None:
 def choose(page: Page, label: str, option: str) -> None:
   row(page, label).locator("input").first.click()
   page.get_by_role("option", name=option, exact=True).click()
+
+
+class Served:
+  """A viewer of boxes without a browser, whose loop the test runs."""
+
+  def __init__(self, env: BoxEnv, viewer: BrowserViewer) -> None:
+    assert viewer.playback is not None
+    assert viewer._controls is not None
+    self.env, self.viewer, self.playback, self.controls = env, viewer, viewer.playback, viewer._controls
+    self.inputs: dict[str, Any] = inputs_of(viewer)
+
+  def show(self) -> None:
+    """Show a frame, due or not."""
+    self.viewer._due["frame"] = 0.0
+    self.viewer.update()
+
+  def status(self) -> str:
+    self.controls.show_status()
+    return self.controls._status.content
+
+  @property
+  def shown(self) -> Snapshot:
+    assert self.viewer.scene.shown is not None
+    return self.viewer.scene.shown
+
+
+def inputs_of(viewer: BrowserViewer) -> dict[str, Any]:
+  """Return the inputs of the page by label."""
+  return {handle.label: handle for handle in viewer.server.gui._gui_input_handle_from_uuid.values()}
+
+
+@contextmanager
+def served(
+  env: BoxEnv, policy: Any = None, clock: Callable[[], float] = time.monotonic, **options: Any
+) -> Generator[Served]:
+  """Serve a page of boxes, by default with actions of zero."""
+  playback = Playback(env, policy or ZeroPolicy(env.num_envs, 1, env.sim.device), clock=clock)
+  with BrowserViewer(env, playback=playback, port=8300, **options) as viewer:
+    yield Served(env, viewer)

@@ -1,4 +1,4 @@
 import torch
 
-# Tiny tensors: a second thread would only wait for the first.
+# A second thread does not help with tiny tensors.
 torch.set_num_threads(1)

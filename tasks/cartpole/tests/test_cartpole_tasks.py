@@ -143,7 +143,7 @@ def test_only_time_ends_an_episode(make: Make) -> None:
 
 
 @both
-def test_watching_only_makes_episodes_endless(make: Make) -> None:
+def test_play_only_makes_episodes_endless(make: Make) -> None:
   task = make()
   cfg = task.play(task.env)
   assert cfg.episode_length_s == 1e10
@@ -170,7 +170,7 @@ def test_both_engines_swing_up_alike() -> None:
   native, warp = make_env(swingup, 3, "native"), make_env(swingup, 3, "warp")
   native.reset()
   warp.reset()
-  # The engines draw in their own precision, so one starts where the other does.
+  # The engines draw in different precisions, so one takes the start of the other.
   for name in ("qpos", "qvel"):
     getattr(warp.sim.data, name).copy_(getattr(native.sim.data, name))
   generator = torch.Generator().manual_seed(2)

@@ -4,12 +4,12 @@ from pathlib import Path
 import pytest
 import torch
 
-# The oracle is a module beside the tests.
+# Tests share an oracle and an environment.
 sys.path.insert(0, str(Path(__file__).parent))
 
 from tracking_env import clips
 
-# Tiny tensors: a second thread would only wait for the first.
+# A second thread does not help with tiny tensors.
 torch.set_num_threads(1)
 
 

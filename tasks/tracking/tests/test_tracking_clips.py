@@ -33,7 +33,7 @@ def clip(request: pytest.FixtureRequest) -> Motion:
   return load_motion(request.param)
 
 
-def test_four_clips_ship_and_say_whose_they_are() -> None:
+def test_four_clips_ship_with_their_licence() -> None:
   assert [path.stem for path in CLIPS] == ["go1_trot", "march_in_place", "side_step_dance", "squat_and_wave"]
   assert {load_motion(path).license for path in CLIPS} == {"Apache-2.0"}
   assert sum(path.stat().st_size for path in CLIPS) < 400_000
@@ -45,7 +45,7 @@ def test_the_clip_of_a_policy_is_a_faultless_trot_along_an_arc() -> None:
   assert trot.history == ("recorded from a simulation",)
   report = check_quality(trot, robot)
   assert report.severity == "ok", report.table()
-  # Asked for: 0.8 m/s ahead and 0.5 rad/s to the left for 4 s.
+  # The command was 0.8 m/s ahead and 0.5 rad/s to the left for 4 s.
   way = trot.root_pos[1:] - trot.root_pos[:-1]
   assert 2.8 < float(way[:, :2].norm(dim=1).sum()) < 3.6
   turned = 2.0 * torch.atan2(trot.root_quat[:, 3], trot.root_quat[:, 0])
@@ -81,7 +81,7 @@ def test_a_clip_that_ships_is_smooth(clip: Motion) -> None:
 def test_a_clip_that_ships_is_balanced_in_every_frame(clip: Motion, robot: Kinematics) -> None:
   pos, quat = robot.poses(clip.root_pos, clip.root_quat, robot.columns_of(clip))
   mass = robot.center_of_mass(pos, quat)[:, :2]
-  # The soles are capsules; where both ends of one are is where the robot can stand.
+  # The soles are capsules; the robot stands on their ends.
   model = robot.model
   soles = [geom for geom in robot.collision_geoms() if "foot" in model.geom(geom).name]
   assert len(soles) == 14

@@ -1,4 +1,4 @@
-"""The motion command: starts, frames, the end of a clip, and the reference laid over the robot."""
+"""The motion command: starts, frames, ends of clips, and the reference relative to the robot."""
 
 import copy
 import dataclasses
@@ -17,7 +17,7 @@ from mjlab_rl import RslRlVecEnvWrapper
 from mjlab_tracking import TrackingEvaluation
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS
 from mjlab_tracking.mdp import MotionCommand, bad_anchor_height
-from tracking_env import clips, command, make, still, without_failures, zeros
+from tracking_env import clips, command, make, root_pose, still, zeros
 
 
 def frames(term: MotionCommand, clip: torch.Tensor, frame: torch.Tensor, column: str) -> torch.Tensor:
@@ -25,7 +25,7 @@ def frames(term: MotionCommand, clip: torch.Tensor, frame: torch.Tensor, column:
   return library.table[library.offsets[clip] + frame][:, library.columns[column]]
 
 
-def test_an_episode_starts_in_the_pose_of_a_frame_and_is_to_reach_the_next(folder: Path) -> None:
+def test_an_episode_starts_in_the_pose_of_a_frame_with_the_next_as_target(folder: Path) -> None:
   env, term = make(still(folder, num_envs=16))
   start = term.frame - 1
   assert (start >= 0).all()
@@ -42,25 +42,22 @@ def test_an_episode_starts_in_the_pose_of_a_frame_and_is_to_reach_the_next(folde
   assert torch.equal(term.command, torch.cat((term.joint_pos, term.joint_vel), 1).float())
 
 
-def test_of_a_folder_only_the_split_that_is_asked_for_is_followed_and_judged(tmp_path: Path) -> None:
+def test_only_the_requested_split_of_a_folder_is_followed_and_evaluated(tmp_path: Path) -> None:
   (clips(tmp_path) / "library.json").write_text('{"b_march.npz": {"split": "test"}}')
-  cfg = still(tmp_path)
-  command(cfg).split = "test"
+  cfg = still(tmp_path, split="test")
   _, term = make(cfg)
   assert term.library.clip_names == ("b_march",)
   judge = TrackingEvaluation(end_effectors=END_EFFECTORS, repeats=3)
   assert judge.configure(cfg).scene.num_envs == 3
 
 
-def test_a_start_is_within_soft_limits_or_no_further_beyond_than_its_clip(tmp_path: Path) -> None:
+def test_a_start_exceeds_soft_limits_no_more_than_its_clip(tmp_path: Path) -> None:
   motion = load_motion(shipped_clips()["squat_and_wave"])
   joints = motion.joint_pos.clone()
   beyond, near = (motion.joint_names.index(f"{side}_elbow_joint") for side in ("left", "right"))
   joints[:, beyond], joints[:, near] = 2.0, 1.9  # of 2.0944, softly 1.937
   save_motion(motion.changed("", joint_pos=joints), tmp_path / "bent.npz")
-  cfg = still(tmp_path / "bent.npz", num_envs=16)
-  command(cfg).joint_position_range = (-0.1, 0.1)
-  env, _ = make(cfg)
+  env, _ = make(still(tmp_path / "bent.npz", num_envs=16, joint_position_range=(-0.1, 0.1)))
   data = env.scene["robot"].data
   for joint, limit in ((beyond, 2.0), (near, float(data.soft_joint_pos_limits[0, near, 1]))):
     bent = data.joint_pos[:, joint]
@@ -69,10 +66,8 @@ def test_a_start_is_within_soft_limits_or_no_further_beyond_than_its_clip(tmp_pa
     assert bent.min() < limit - 0.01
 
 
-def test_the_target_advances_by_one_frame_in_every_step_and_by_none_in_a_reset_by_hand(folder: Path) -> None:
-  cfg = without_failures(still(folder))
-  command(cfg).sampling = "start"
-  env, term = make(cfg)
+def test_the_target_advances_by_one_frame_in_every_step_and_by_none_in_a_manual_reset(folder: Path) -> None:
+  env, term = make(still(folder, failures=False, sampling="start"))
   assert term.frame.tolist() == [1] * 4
   for step in range(5):
     env.step(zeros(env))
@@ -81,11 +76,9 @@ def test_the_target_advances_by_one_frame_in_every_step_and_by_none_in_a_reset_b
   assert term.frame.tolist() == [6, 1, 6, 6]
 
 
-def test_the_end_of_a_clip_is_a_truncation_and_nothing_moves_without_a_flag(folder: Path) -> None:
-  # Failures off, so that the robot falls and a silent start over would show as a leap.
-  cfg = without_failures(still(folder))
-  command(cfg).sampling = "start"
-  env, term = make(cfg)
+def test_the_end_of_a_clip_is_a_truncation_and_only_flagged_robots_are_moved(folder: Path) -> None:
+  # Without failures the robot falls, so that a silent restart shows as a leap.
+  env, term = make(still(folder, failures=False, sampling="start"))
   lengths = term.num_frames.clone()
   truncations = torch.zeros(4, dtype=torch.int64)
   for step in range(1, 60):
@@ -98,33 +91,30 @@ def test_the_end_of_a_clip_is_a_truncation_and_nothing_moves_without_a_flag(fold
     assert not (leapt & ~truncated).any(), step
     assert torch.equal(env.episode_length_buf == 0, truncated)
     truncations += truncated
-    # An episode from the first frame is to reach each other one.
+    # The targets of an episode from the first frame are all later frames.
     assert all(step == length - 1 for length, ended in zip(lengths, truncated, strict=True) if ended and step < 41)
   assert (truncations >= 1).all()
 
 
-def test_a_clip_of_another_rate_lasts_as_long_as_it_did(tmp_path: Path) -> None:
+def test_a_clip_of_another_rate_keeps_its_duration(tmp_path: Path) -> None:
   motion = resample(load_motion(shipped_clips()["squat_and_wave"]), 30.0)
   save_motion(motion, tmp_path / "thirty.npz")
-  cfg = without_failures(still(tmp_path / "thirty.npz"))
-  env, term = make(cfg)
+  env, term = make(still(tmp_path / "thirty.npz", failures=False))
   assert term.num_frames[0] == int(motion.duration / env.step_dt + 1e-6) + 1
-  env.close()
 
 
-def test_the_reference_is_laid_over_the_robot_as_it_is_now(folder: Path) -> None:
+def test_the_reference_is_laid_over_the_present_robot(folder: Path) -> None:
   env, term = make(still(folder))
-  robot = env.scene["robot"]
   # As if it had run ahead by 6 cm and turned, within a step.
-  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
+  pose = root_pose(env)
   half = torch.full((4,), 0.5, dtype=pose.dtype)
   turn = quat_from_euler_xyz(0 * half, 0 * half, half)
   moved = torch.cat((pose[:, :3] + torch.tensor([0.06, 0.0, 0.1]), quat_mul(turn, pose[:, 3:])), -1)
-  robot.write_root_pose(moved)
+  env.scene["robot"].write_root_pose(moved)
   index = BODIES.index("torso_link")
   relative = term.body_pos_relative_w
   torch.testing.assert_close(relative[:, index, :2], term.robot_anchor_pos_w[:, :2], atol=1e-9, rtol=0)
-  # Height is the reference's own.
+  # Heights are those of the reference.
   torch.testing.assert_close(relative[..., 2], term.body_pos_w[..., 2], atol=1e-9, rtol=0)
   # By the definition, for each body.
   dq = quat_yaw(quat_mul(term.robot_anchor_quat_w, term.anchor_quat_w * torch.tensor([1.0, -1.0, -1.0, -1.0])))
@@ -133,16 +123,15 @@ def test_the_reference_is_laid_over_the_robot_as_it_is_now(folder: Path) -> None
     held = torch.cat((term.robot_anchor_pos_w[:, :2], term.anchor_pos_w[:, 2:]), -1)
     torch.testing.assert_close(relative[:, body], held + arm, atol=1e-9, rtol=0)
     torch.testing.assert_close(term.body_quat_relative_w[:, body], quat_mul(dq, term.body_quat_w[:, body]))
-  # A step later the same holds for the state and the frame that then are.
+  # The same holds for the state and the frame of the next step.
   env.step(zeros(env))
   gap = term.body_pos_relative_w[:, index, :2] - term.robot_anchor_pos_w[:, :2]
   assert gap.abs().max() < 1e-9
 
 
 @pytest.mark.parametrize("bodies", [("torso_link", "left_knee_link"), ("left_knee_link", "torso_link", "pelvis")])
-def test_the_root_is_where_it_starts_whatever_bodies_are_followed(folder: Path, bodies: tuple[str, ...]) -> None:
-  cfg = still(folder)
-  command(cfg).bodies = bodies
+def test_the_start_of_the_root_does_not_depend_on_the_followed_bodies(folder: Path, bodies: tuple[str, ...]) -> None:
+  cfg = still(folder, bodies=bodies)
   cfg.terminations["ee_body_pos"] = None
   env, term = make(cfg)
   expected, reference = make(still(folder))
@@ -153,10 +142,7 @@ def test_the_root_is_where_it_starts_whatever_bodies_are_followed(folder: Path, 
 
 
 def test_a_preview_shows_the_frames_ahead_and_holds_the_last(folder: Path) -> None:
-  cfg = without_failures(still(folder))
-  command(cfg).preview = (1, 10)
-  command(cfg).sampling = "start"
-  env, term = make(cfg)
+  env, term = make(still(folder, failures=False, preview=(1, 10), sampling="start"))
   assert sum(width for (width,) in env.observation_manager.group_obs_term_dim["actor"]) == 160 + 2 * 58
   for _ in range(28):
     env.step(zeros(env))
@@ -167,7 +153,7 @@ def test_a_preview_shows_the_frames_ahead_and_holds_the_last(folder: Path) -> No
     torch.testing.assert_close(shown, expected.float())
 
 
-def test_failures_are_counted_where_they_happen_and_ends_of_clips_are_not(folder: Path) -> None:
+def test_failures_and_ends_are_counted(folder: Path) -> None:
   env, term = make(still(folder))
   seen = torch.zeros(2)
   for _ in range(80):
@@ -186,7 +172,7 @@ def test_failures_are_counted_where_they_happen_and_ends_of_clips_are_not(folder
   assert "Metrics/motion/a_squat/success" in env.drain_log()
 
 
-def test_a_reset_by_hand_after_a_failure_counts_it_once(folder: Path) -> None:
+def test_a_manual_reset_after_a_failure_counts_it_once(folder: Path) -> None:
   cfg = still(folder)
   cfg.auto_reset = False
   env, term = make(cfg)
@@ -201,7 +187,7 @@ def test_a_reset_by_hand_after_a_failure_counts_it_once(folder: Path) -> None:
   assert failures[2 * bins : 2 * bins + clips_].sum() == 4.0
 
 
-def test_learned_odds_go_along_to_another_number_of_worlds(folder: Path) -> None:
+def test_sampling_progress_is_loaded_with_another_number_of_worlds(folder: Path) -> None:
   env, term = make(still(folder))
   for _ in range(40):
     env.step(5.0 * torch.randn(4, 29, generator=torch.Generator().manual_seed(1)))
@@ -209,7 +195,7 @@ def test_learned_odds_go_along_to_another_number_of_worlds(folder: Path) -> None
   assert not torch.equal(other.sampler.probabilities(), term.sampler.probabilities())
   more.load_progress(env.state_dict())
   assert torch.equal(other.sampler.probabilities(), term.sampler.probabilities())
-  # Books of other clips are left alone.
+  # Counts of other clips are not loaded.
   single, alone = make(still(shipped_clips()["march_in_place"]))
   before = alone.sampler.probabilities()
   single.load_progress(env.state_dict())
@@ -223,15 +209,13 @@ def names(state: dict, prefix: str = "") -> set[str]:
   return found
 
 
-def test_what_is_saved_does_not_depend_on_the_number_of_worlds(folder: Path) -> None:
+def test_saved_names_do_not_depend_on_the_number_of_worlds(folder: Path) -> None:
   saved = [make(still(folder, num_envs=count))[0].state_dict()["commands"] for count in (1, 2, 9, 14)]
   assert len({frozenset(names(state)) for state in saved}) == 1
 
 
-def test_what_a_world_draws_does_not_depend_on_who_is_reset_where_starts_are_uniform(folder: Path) -> None:
-  cfg = still(folder, num_envs=3)
-  command(cfg).sampling = "uniform"
-  command(cfg).joint_position_range = (-0.1, 0.1)
+def test_uniform_starts_of_a_world_do_not_depend_on_other_resets(folder: Path) -> None:
+  cfg = still(folder, num_envs=3, sampling="uniform", joint_position_range=(-0.1, 0.1))
   envs = [make(copy.deepcopy(cfg))[0] for _ in range(2)]
   envs[0].reset(env_ids=[0, 1])
   envs[1].reset(env_ids=[1, 2])
@@ -260,9 +244,8 @@ def test_a_mistake_is_named_at_build(change: dict, message: str) -> None:
   assert message in str(caught.value)
 
 
-def test_the_learner_is_told_to_bootstrap_at_the_end_of_a_clip_and_not_where_it_failed(folder: Path) -> None:
-  cfg = without_failures(still(folder / "a_squat.npz"))
-  command(cfg).sampling = "start"
+def test_the_end_of_a_clip_is_a_time_out_for_the_learner_and_a_failure_is_not(folder: Path) -> None:
+  cfg = still(folder / "a_squat.npz", failures=False, sampling="start")
   cfg.terminations["fallen"] = TerminationTermCfg(bad_anchor_height, params={"command": "motion", "threshold": 0.5})
   env, term = make(cfg)
   wrapped = RslRlVecEnvWrapper(env)
@@ -270,10 +253,9 @@ def test_the_learner_is_told_to_bootstrap_at_the_end_of_a_clip_and_not_where_it_
     _, _, dones, extras = wrapped.step(zeros(env))
     assert not dones.any()
   # All come to the end of their clip; one fails in the same step.
-  robot = env.scene["robot"]
-  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
+  pose = root_pose(env)
   pose[2, 2] += 1.0
-  robot.write_root_pose(pose)
+  env.scene["robot"].write_root_pose(pose)
   _, _, dones, extras = wrapped.step(zeros(env))
   assert dones.tolist() == [1, 1, 1, 1]
   assert extras["time_outs"].tolist() == [True, True, False, True]

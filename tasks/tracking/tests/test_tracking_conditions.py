@@ -7,21 +7,15 @@ import pytest
 import torch
 from mjlab_core.errors import ConfigError
 from mjlab_managers import MetricsTermCfg, TerminationTermCfg
-from mjlab_tracking.mdp import (
-  bad_anchor_pos,
-  bad_motion_body_pos,
-  body_orientation_error,
-  body_position_error,
-  mpkpe,
-)
+from mjlab_tracking.mdp import bad_anchor_pos, bad_motion_body_pos, body_orientation_error, body_position_error, mpkpe
 from mjlab_tracking.mdp.errors import body_angle, body_distance
-from tracking_env import make, still, without_failures
+from tracking_env import make, root_pose, still
 
 HANDS = ("left_wrist_yaw_link", "right_wrist_yaw_link")
 
 
 def test_distances_in_space_end_episodes_and_are_measured_over_named_bodies(folder: Path) -> None:
-  cfg = without_failures(still(folder))
+  cfg = still(folder, failures=False)
   params = {"command": "motion", "threshold": 0.3}
   cfg.terminations["far"] = TerminationTermCfg(bad_anchor_pos, params=params)
   cfg.terminations["hands"] = TerminationTermCfg(bad_motion_body_pos, params=params | {"bodies": HANDS})
@@ -32,7 +26,7 @@ def test_distances_in_space_end_episodes_and_are_measured_over_named_bodies(fold
   }
   env, term = make(cfg)
   robot = env.scene["robot"]
-  state = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1).clone()
+  state = root_pose(env)
   # Each of the two parts is below the threshold, their norm is not.
   state[:, 0] += torch.tensor([0.0, 0.25, 0.25, 0.0])
   state[:, 2] += torch.tensor([0.0, 0.0, 0.25, 0.25])

@@ -1,4 +1,4 @@
-"""The evaluation of tracking against the same episodes played by hand, terminal states included."""
+"""The evaluation of tracking against manual rollouts of its episodes, terminal states included."""
 
 import itertools
 from collections.abc import Callable
@@ -31,7 +31,7 @@ def configured(folder: Path) -> ManagerBasedRlEnvCfg:
 
 
 def act(step: int) -> torch.Tensor:
-  """Wild in some worlds, so that they fall; none in others, so that they come to the end of their short clip."""
+  """Return wild actions for worlds that fall, and zeros for worlds that reach the end of their clip."""
   wild = 8.0 * torch.randn(6, 29, generator=torch.Generator().manual_seed(step))
   return wild * torch.tensor([1.0, 1.0, 0.0, 0.0, 0.3, 0.0])[:, None]
 
@@ -43,8 +43,8 @@ def policy() -> Callable[[object], torch.Tensor]:
 
 
 @pytest.fixture(scope="module")
-def by_hand(folder: Path) -> tuple[list[dict[str, list[float]]], list[bool]]:
-  """Errors of each world's first episode, step by step, from body poses as they are at the end of each step."""
+def expected(folder: Path) -> tuple[list[dict[str, list[float]]], list[bool]]:
+  """Return errors of each world's first episode from body poses at the end of each step, and failures."""
   cfg = configured(folder)
   cfg.auto_reset = False
   found: list[dict[str, list[float]]] = [{name: [] for name in NAMES} for _ in range(6)]
@@ -55,7 +55,7 @@ def by_hand(folder: Path) -> tuple[list[dict[str, list[float]]], list[bool]]:
     env.reset(seed=0)
     term = motion(env, "motion")
     for step in range(1, 60):
-      # The target of this step is what the policy has been shown before it.
+      # The target of this step is the one that the policy saw before it.
       wanted = [part.clone() for part in (term.body_pos_w, term.body_quat_w, term.joint_vel)]
       _, _, terminated, truncated, _ = env.step(act(step))
       pos, quat = term.robot_body_pos_w, term.robot_body_quat_w
@@ -84,9 +84,9 @@ def by_hand(folder: Path) -> tuple[list[dict[str, list[float]]], list[bool]]:
   return found, failed
 
 
-def test_every_error_of_every_step_is_that_of_the_state_it_ended_in(folder: Path, by_hand: Any) -> None:
-  expected, failed = by_hand
-  lengths = [len(errors["mpkpe"]) for errors in expected]
+def test_every_error_of_a_step_is_that_of_its_last_state(folder: Path, expected: Any) -> None:
+  errors_of, failed = expected
+  lengths = [len(errors["mpkpe"]) for errors in errors_of]
   # Both kinds of ends, and different lengths.
   assert set(failed) == {True, False}
   assert len(set(lengths)) >= 3
@@ -96,22 +96,22 @@ def test_every_error_of_every_step_is_that_of_the_state_it_ended_in(folder: Path
     )
   assert played.length.tolist() == lengths
   assert played.has_failed.tolist() == failed
-  for world, errors in enumerate(expected):
+  for world, errors in enumerate(errors_of):
     for name, values in errors.items():
       found = played.values[name][: lengths[world], world]
       np.testing.assert_allclose(found, values, rtol=1e-4, err_msg=f"world {world}, {name}")
 
 
-def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: Path, by_hand: Any) -> None:
-  expected, failed = by_hand
+def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: Path, expected: Any) -> None:
+  errors_of, failed = expected
   with ManagerBasedRlEnv(configured(folder), device="cpu") as env:
     result = evaluator().run(env, policy())
   assert list(result.groups) == ["all", "a_squat", "b_march"]
   for group, worlds in (("all", range(6)), ("a_squat", (0, 2, 4)), ("b_march", (1, 3, 5))):
     metrics = result.groups[group]
     assert metrics["success_rate"].mean == pytest.approx(1.0 - np.mean([failed[w] for w in worlds]))
-    assert metrics["survived"].mean == pytest.approx(0.02 * np.mean([len(expected[w]["mpkpe"]) for w in worlds]))
-    means = [np.mean(expected[w]["mpkpe"]) for w in worlds]
+    assert metrics["survived"].mean == pytest.approx(0.02 * np.mean([len(errors_of[w]["mpkpe"]) for w in worlds]))
+    means = [np.mean(errors_of[w]["mpkpe"]) for w in worlds]
     assert metrics["mpkpe"].mean == pytest.approx(np.mean(means), rel=1e-4)
   # Clips of less than a second have one point.
   assert [len(line) for line in result.curves["mpkpe"].values()] == [1, 1, 1]
@@ -120,7 +120,7 @@ def test_the_summary_has_success_over_whole_clips_by_clip_and_by_second(folder: 
 
 def test_a_world_that_fails_on_its_first_step_counts_with_that_step(folder: Path) -> None:
   cfg = evaluator().configure(still(folder))
-  # So low a threshold that every first step is a failure.
+  # With this threshold every first step is a failure.
   term: Any = cfg.terminations["anchor_pos"]
   term.params["threshold"] = -1.0
   with ManagerBasedRlEnv(cfg, device="cpu") as env:

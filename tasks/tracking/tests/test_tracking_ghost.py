@@ -1,4 +1,4 @@
-"""The reference in viewers: the robot's shapes where the reference has them, and a target that can be held."""
+"""The reference in viewers: its ghost, and a held target."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,11 +7,11 @@ from typing import Any
 import pytest
 import torch
 from mjlab_motions import Ghost
-from tracking_env import command, make, still, without_failures, zeros
+from tracking_env import make, still, zeros
 
 
 def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-  env, term = make(without_failures(still(folder)))
+  env, term = make(still(folder, failures=False))
   # The tests of mjlab-motions show that a ghost has its shapes where MuJoCo has them.
   drawn: list[torch.Tensor] = []
   monkeypatch.setattr(Ghost, "draw", lambda _, draw, *pose: drawn.extend(pose))
@@ -24,15 +24,13 @@ def test_the_ghost_is_the_reference_of_the_worlds_that_are_shown(folder: Path, m
   assert "command motion" in env.drawers()
 
 
-def test_a_target_that_is_held_stays_until_it_is_let_go(folder: Path) -> None:
-  cfg = without_failures(still(folder))
-  command(cfg).sampling = "start"
-  env, term = make(cfg)
+def test_a_held_target_stays_until_its_release(folder: Path) -> None:
+  env, term = make(still(folder, failures=False, sampling="start"))
   (axis,) = term.axes
   assert axis == ("time [s]", 0.0, pytest.approx(0.8))
   assert "motion" in env.steering()
   term.steer(1, [0.4])
-  # Seen at once, also where nobody steps.
+  # It acts at once, also without a step.
   assert term.frame.tolist() == [1, 20, 1, 1]
   assert not torch.equal(term.anchor_pos_w[1], term.anchor_pos_w[3])
   for _ in range(3):

@@ -1,4 +1,4 @@
-"""Clips as people have them. They are not part of the repository: MJLAB_MOTIONS names a folder that has some.
+"""Clips of other projects, in the folder that MJLAB_MOTIONS names; they are not part of the repository.
 
 It holds `g1-moves/*.csv` (60 Hz) with `B_HandsUp.mjlab.npz`, `kimodo/*.csv` (30 Hz), and rollouts of MuJoCo (`*.npz`).
 """

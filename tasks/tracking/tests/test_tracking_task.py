@@ -1,4 +1,4 @@
-"""The G1's two tasks: what they are made of, term by term against closed forms, and that a step waits for nobody."""
+"""The two tasks of the G1: their settings, terms against closed forms, and steps without a wait for the device."""
 
 import math
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from mjlab_tracking import g1_flat, g1_flat_no_state_estimation
 from mjlab_tracking.g1 import BODIES, END_EFFECTORS, g1_flat_env
 from mjlab_tracking.mdp import QUANTITIES, MotionCommand, bad_anchor_drift, motion_contact, motion_error
 from torch.utils._python_dispatch import TorchDispatchMode
-from tracking_env import command, make, still, without_failures, zeros
+from tracking_env import command, make, root_pose, still, zeros
 
 ACTOR = {
   "command": 58,
@@ -45,9 +45,7 @@ WEIGHTS = {
 @pytest.fixture(scope="module")
 def played(folder: Path) -> Iterator[tuple[ManagerBasedRlEnv, MotionCommand]]:
   """An environment some way from its reference, away from any reset."""
-  cfg = without_failures(still(folder))
-  command(cfg).sampling = "start"
-  env, term = make(cfg)
+  env, term = make(still(folder, failures=False, sampling="start"))
   generator = torch.Generator().manual_seed(2)
   for _ in range(8):
     env.step(0.3 * torch.randn(4, 29, generator=generator))
@@ -95,7 +93,7 @@ def test_numbers_are_those_of_the_reference() -> None:
   assert isinstance(task.agent, RslRlOnPolicyRunnerCfg)
   assert task.agent.algorithm.entropy_coef == 0.005
   assert task.agent.save_interval == 500
-  # What looks at self-collision must not be whichever contact comes first.
+  # Not just the first contact.
   sensor: Any = cfg.scene.sensors["self_collision"]
   assert sensor.reduce == "maxforce"
   # All substeps of a step, however many there are.
@@ -185,7 +183,7 @@ def test_errors_are_their_closed_forms(played: tuple[ManagerBasedRlEnv, MotionCo
 def test_terminations_are_true_from_their_thresholds_on(folder: Path) -> None:
   env, term = make(still(folder))
   robot = env.scene["robot"]
-  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1).clone()
+  pose = root_pose(env)
 
   def ended(name: str) -> list[bool]:
     return env.termination_manager.term(name)().tolist()
@@ -220,7 +218,7 @@ def test_terminations_are_true_from_their_thresholds_on(folder: Path) -> None:
 
 
 def test_contacts_are_rewarded_where_the_reference_has_them(folder: Path) -> None:
-  cfg = without_failures(still(folder))
+  cfg = still(folder, failures=False, sampling="start")
   feet = ("left_ankle_roll_link", "right_ankle_roll_link")
   cfg.scene.sensors["feet"] = ContactSensorCfg(
     primary=ContactMatch(mode="subtree", pattern=feet, entity="robot", preserve_order=True),
@@ -231,7 +229,6 @@ def test_contacts_are_rewarded_where_the_reference_has_them(folder: Path) -> Non
     motion_contact, weight=0.5, params={"command": "motion", "sensor": "feet", "bodies": feet}
   )
   cfg.terminations["drift"] = TerminationTermCfg(bad_anchor_drift, params={"command": "motion", "threshold": 0.5})
-  command(cfg).sampling = "start"
   env, term = make(cfg)
   for _ in range(2):
     env.step(zeros(env))
@@ -240,9 +237,7 @@ def test_contacts_are_rewarded_where_the_reference_has_them(folder: Path) -> Non
   assert squat.any()
   # In the squat both feet stand, and so do the robot's.
   assert reward()[squat].tolist() == [1.0] * int(squat.sum())
-  robot = env.scene["robot"]
-  pose = torch.cat((robot.data.root_link_pos_w, robot.data.root_link_quat_w), -1)
-  robot.write_root_pose(pose + torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], dtype=pose.dtype))
+  env.scene["robot"].write_root_pose(root_pose(env) + torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]))
   env.step(zeros(env))
   assert reward()[squat].tolist() == [0.0] * int(squat.sum())
 
@@ -276,7 +271,7 @@ def test_a_step_never_waits_for_the_device() -> None:
   assert waits.count < 900
 
 
-def test_one_more_step_of_a_large_library_costs_as_many_operations(folder: Path) -> None:
+def test_the_operations_of_a_step_do_not_depend_on_the_library(folder: Path) -> None:
   counts = []
   for motion in ("squat_and_wave", folder):
     env, _ = make(still(motion))

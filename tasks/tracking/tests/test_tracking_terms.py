@@ -1,4 +1,4 @@
-"""Every term of the tracking task against NumPy and MuJoCo C, on what random actions and pushes lead to."""
+"""Every term of the tracking task against NumPy and MuJoCo C, under random actions and pushes."""
 
 import math
 from dataclasses import dataclass
@@ -25,14 +25,14 @@ NOISE = {
   "joint_vel": 0.5,
 }
 OFFSET = np.array([0.05, 0.05, 0.01, 0.1, 0.1, 0.2])
-"""How far starts may be off: x, y, z [m], roll, pitch, yaw [rad]."""
+"""Largest offsets of starts: x, y, z [m], roll, pitch, yaw [rad]."""
 TWIST = np.array([0.5, 0.5, 0.2, 0.52, 0.52, 0.78])
-"""How far velocities may be off, and pushes go [m/s, rad/s]."""
+"""Largest offsets of velocities, and largest pushes [m/s, rad/s]."""
 _STATE: dict[str, np.ndarray] = {}
 
 
 def note_state(env: ManagerBasedRlEnv) -> torch.Tensor:
-  """Keep what rewards are given for, before anybody is reset or pushed."""
+  """Keep the state of the rewards, before resets and pushes."""
   term: Any = env.command_manager.get_term("motion")
   data = env.sim.data
   for name, value in {"qpos": data.qpos, "qvel": data.qvel, "clip": term.clip, "frame": term.frame}.items():
@@ -42,7 +42,7 @@ def note_state(env: ManagerBasedRlEnv) -> torch.Tensor:
 
 @dataclass(kw_only=True)
 class Step:
-  """One step of one world: what the environment said, and what the oracle says."""
+  """One step of one world: values of the environment and of the oracle."""
 
   rewards: dict[str, tuple[float, float]]
   """By term, unweighted."""
@@ -64,10 +64,10 @@ def roll(folder: Path, steps: int, num_envs: int = 8, engine: Literal["native", 
   cfg = g1_flat_env()
   cfg.scene.num_envs, cfg.seed, cfg.sim.engine = num_envs, 5, engine
   cfg.metrics["state"] = MetricsTermCfg(note_state)
-  # So that episodes end by age too, before their clip does.
+  # Some episodes end by age, before the end of their clip.
   cfg.episode_length_s = 0.5
   command(cfg).motion = str(folder)
-  # And pushes before that.
+  # Pushes come before that.
   push: Any = cfg.events["push_robot"]
   push.interval_range_s = (0.1, 0.3)
   with ManagerBasedRlEnv(cfg, device="cpu") as env:
@@ -102,7 +102,7 @@ def roll(folder: Path, steps: int, num_envs: int = 8, engine: Literal["native", 
         robot = world.look(_STATE["qpos"][w], _STATE["qvel"][w])
         expected = world.rewards(robot, clip.bodies[frame], actions[w], collisions)
         failed = any(world.failures(robot, clip.bodies[frame]).values())
-        # Both may be; the learner is told that it failed.
+        # Both may hold; the learner gets the failure.
         over = bool(ages[w] >= 25 or frame == len(clip.qpos) - 1)
         start = pushed = None
         if failed or over:
@@ -225,16 +225,16 @@ def test_episodes_end_where_the_table_says(steps: list[Step]) -> None:
   assert sum(step.truncated[1] for step in steps) > 5
 
 
-def test_physics_is_that_of_mujoco_c_under_set_points_less_the_encoder_bias(steps: list[Step]) -> None:
+def test_physics_is_that_of_mujoco_c_under_targets_less_the_encoder_bias(steps: list[Step]) -> None:
   ours, oracle = (np.array([step.shadow[side] for step in steps]) for side in range(2))
   np.testing.assert_allclose(ours, oracle, rtol=0.0, atol=1e-8)
 
 
-def test_a_start_is_off_its_frame_by_no_more_than_the_table_says(steps: list[Step]) -> None:
+def test_offsets_of_starts_are_within_the_limits_of_the_table(steps: list[Step]) -> None:
   starts = np.array([step.start[0] for step in steps if step.start is not None])
   limits = np.concatenate((OFFSET, TWIST, np.full(29, 0.1)))
   assert len(starts) > 30
-  # What is read from a clip is in single precision; and joints that a clip has beyond their soft limits stay there.
+  # Clips have single precision, and their joints beyond soft limits stay there.
   assert (np.abs(starts) <= limits + 1e-5).all()
   assert (np.abs(starts).max(0) > 0.75 * limits).all()
   for step in steps:

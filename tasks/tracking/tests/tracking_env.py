@@ -1,4 +1,4 @@
-"""The G1's tracking environment, small and still: no noise, pushes or randomisation, clips of a second or two."""
+"""A small tracking environment of the G1 without noise, pushes and randomisation, with clips below a second."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg
 
 
 def clips(folder: Path) -> Path:
-  """A folder of two short clips: 41 frames of marching, 31 of the squat, which is called to be first."""
+  """Fill a folder with two short clips: 31 frames of a squat, then 41 of marching."""
   march = crop(load_motion(shipped_clips()["march_in_place"]), 2.0, 2.8)
   squat = crop(load_motion(shipped_clips()["squat_and_wave"]), 1.0, 1.6)
   save_motion(squat.changed("", name="a_squat"), folder / "a_squat.npz")
@@ -21,7 +21,8 @@ def clips(folder: Path) -> Path:
   return folder
 
 
-def still(motion: str | Path, num_envs: int = 4) -> ManagerBasedRlEnvCfg:
+def still(motion: str | Path, num_envs: int = 4, *, failures: bool = True, **of_command: Any) -> ManagerBasedRlEnvCfg:
+  """Return the environment, with or without terminations of failures, and with changed fields of the command."""
   cfg = g1_flat_env()
   cfg.scene.num_envs = num_envs
   cfg.seed = 0
@@ -30,6 +31,10 @@ def still(motion: str | Path, num_envs: int = 4) -> ManagerBasedRlEnvCfg:
   actor.corrupt = False
   command(cfg).motion = str(motion)
   command(cfg).pose_range, command(cfg).velocity_range, command(cfg).joint_position_range = {}, {}, (0.0, 0.0)
+  for name, value in of_command.items():
+    setattr(command(cfg), name, value)
+  if not failures:
+    cfg.terminations |= dict.fromkeys(("anchor_pos", "anchor_ori", "ee_body_pos"))
   return cfg
 
 
@@ -38,17 +43,17 @@ def command(cfg: ManagerBasedRlEnvCfg) -> MotionCommandCfg:
   return term
 
 
-def without_failures(cfg: ManagerBasedRlEnvCfg) -> ManagerBasedRlEnvCfg:
-  for name in ("anchor_pos", "anchor_ori", "ee_body_pos"):
-    cfg.terminations[name] = None
-  return cfg
-
-
 def make(cfg: ManagerBasedRlEnvCfg) -> tuple[ManagerBasedRlEnv, MotionCommand]:
   env = ManagerBasedRlEnv(cfg, device="cpu")
   env.reset()
   term: Any = env.command_manager.get_term("motion")
   return env, term
+
+
+def root_pose(env: ManagerBasedRlEnv) -> torch.Tensor:
+  """Return a copy of the root poses, (num_envs, 7)."""
+  data = env.scene["robot"].data
+  return torch.cat((data.root_link_pos_w, data.root_link_quat_w), -1)
 
 
 def zeros(env: ManagerBasedRlEnv) -> torch.Tensor:
