@@ -217,10 +217,14 @@ class ZeroPolicy:
 
 
 class RandomPolicy(ZeroPolicy):
-  """Uniform actions in [-1, 1), (num_envs, num_actions)."""
+  """Uniform actions in [-1, 1) from a separate generator, (num_envs, num_actions)."""
+
+  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
+    super().__init__(num_envs, num_actions, device)
+    self._generator = torch.Generator(device)
 
   def __call__(self, observations: object) -> torch.Tensor:
-    return super().__call__(observations).uniform_(-1.0, 1.0)
+    return super().__call__(observations).uniform_(-1.0, 1.0, generator=self._generator)
 
 
 @dataclass(kw_only=True, frozen=True)
