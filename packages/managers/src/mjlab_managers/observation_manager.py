@@ -319,20 +319,13 @@ class ObservationManager(ManagerBase[Any]):
     return [(path, row[slot.out]) for path, slot in self._slots.items()]
 
   def describe(self) -> str:
+    rows = []
+    for slot in self._slots.values():
+      noise = "" if slot.noise is None else type(slot.noise).__name__
+      lag = f"{slot.cfg.delay_min_lag} to {slot.cfg.delay_max_lag}" if slot.cfg.delay_max_lag else ""
+      optional = ["" if value is None else value for value in (slot.clip, slot.scale)]
+      rows.append((slot.group, slot.name, slot.shape, noise, *optional, lag, slot.history_length or ""))
     columns = ("group", "term", "shape", "noise", "clip", "scale", "delay", "history")
-    rows = [
-      (
-        slot.group,
-        slot.name,
-        slot.shape,
-        None if slot.noise is None else type(slot.noise).__name__,
-        slot.clip,
-        slot.scale,
-        (slot.cfg.delay_min_lag, slot.cfg.delay_max_lag),
-        slot.history_length,
-      )
-      for slot in self._slots.values()
-    ]
     return table(columns, rows, title="Observations")
 
 
