@@ -75,6 +75,14 @@ class Playback:
     (begin, first), (end, last) = self._history[0], self._history[-1]
     return (last - first) * self.env.step_dt / (end - begin) if end > begin else 0.0
 
+  @property
+  def state(self) -> str:
+    """Speed of the simulated time, or "paused", for users."""
+    if self.paused:
+      return "paused"
+    capped = f" (this machine is too slow for {self.speed:g})" if self.is_capped else ""
+    return f"{self.real_time_factor:.2g} x real time{capped}"
+
   def request(self, action: Callable[[], None]) -> None:
     """Call `action` in the thread that ticks, before its next step. Any thread may ask."""
     self._requests.put(action)

@@ -6,7 +6,7 @@ Actions run in the thread that owns the environment: buttons leave requests with
 from __future__ import annotations
 
 import html
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -97,7 +97,6 @@ class PlaybackControls:
     self._gui = gui = server.gui
     self.inputs = Inputs(server)
     self._status = gui.add_html("")
-    self._shown_status = ""
     self._notified: str | None = None
     self._pause = self._add_action("Pause", viser.Icon.PLAYER_PAUSE, "space", playback.toggle)
     self._add_action(
@@ -126,20 +125,15 @@ class PlaybackControls:
   def show_status(self) -> None:
     """Show state, time and errors."""
     playback = self._playback
-    label, icon = ("Play", viser.Icon.PLAYER_PLAY) if playback.paused else ("Pause", viser.Icon.PLAYER_PAUSE)
-    if self._pause.label != label:
-      self._pause.label, self._pause.icon = label, icon
+    self._pause.label = "Play" if playback.paused else "Pause"
+    self._pause.icon = viser.Icon.PLAYER_PLAY if playback.paused else viser.Icon.PLAYER_PAUSE
     self._record.label, self._record.color = ("Stop recording", "red") if self._recorder.is_on else ("Record", None)
     self._time.update()
-    state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} × real time"
-    if playback.is_capped:
-      state += f" (this machine is too slow for {playback.speed:g})"
-    shown = self._scene.shown
-    is_past = self.seconds_back > 0.0 and shown is not None
-    # The page may go back to before the last reset, where this count has no steps.
-    step = max(playback.step_count - (playback.total_steps - shown.step if is_past and shown else 0), 0)
-    if is_past:
+    state, step = playback.state, playback.step_count
+    if self.seconds_back > 0.0 and self._scene.shown is not None:
       state = f"looking back {self.seconds_back:.2f} s; Play returns to now"
+      # The page may go back to before the last reset, where this count has no steps.
+      step = max(step - playback.total_steps + self._scene.shown.step, 0)
     world = self._selection.world
     if isinstance(playback.env, Replay):
       lines = [playback.env.note(world)]
@@ -150,9 +144,7 @@ class PlaybackControls:
       line += f"<br>world {world} is not finite: shown as it was before"
     if playback.error is not None:
       line += f'<br><span style="color:#c92a2a">{html.escape(playback.error)}</span>'
-    if line != self._shown_status:
-      self._shown_status = line
-      self._status.content = f'<div style="padding:0 0.75em 0.5em;font-size:0.875em">{line}</div>'
+    self._status.content = f'<div style="padding:0 0.75em 0.5em;font-size:0.875em">{line}</div>'
     if playback.error != self._notified:
       self._notified = playback.error
       if playback.error is not None:
@@ -213,16 +205,26 @@ class PlaybackControls:
       axes = [self._add_axis(*axis) for axis in command.axes]
       zeros = [axis.value for axis in axes]
       stop = self._gui.add_button("Stop", hint="All to zero")
+    held: int | None = None
 
-    def given() -> tuple[int, list[float]] | None:
-      return (self._selection.world, [float(axis.value) for axis in axes]) if manual.value else None
+    def given() -> tuple[int | None, list[float]]:
+      return self._selection.world if manual.value else None, [float(axis.value) for axis in axes]
+
+    def steer() -> None:
+      """Hold the values in the selected world; other worlds keep their commands."""
+      nonlocal held
+      world, values = given()
+      if held is not None and held != world:
+        command.steer(held, None)
+      held = world
+      if world is not None:
+        command.steer(world, values)
 
     def zero() -> None:
       for axis, value in zip(axes, zeros, strict=True):
         axis.value = value
 
-    manual_command = ManualCommand(command)
-    self.inputs.on_change(given, lambda: self._playback.request(lambda: manual_command.set(given())))
+    self.inputs.on_change(given, lambda: self._playback.request(steer))
     self._request(stop, zero)
 
   def _add_axis(self, label: str, lower: float, upper: float) -> viser.GuiInputHandle[float]:
@@ -266,23 +268,6 @@ class PlaybackControls:
   def _notify(self, title: str, body: str, color: str) -> None:
     for client in self._server.get_clients().values():
       client.add_notification(title, body, color=color, auto_close_seconds=10.0)  # pyright: ignore[reportArgumentType]  # ty: ignore[invalid-argument-type]
-
-
-class ManualCommand:
-  """Manual values of a command in one world at a time; other worlds have their own commands."""
-
-  def __init__(self, command: Any) -> None:
-    self._command = command
-    self._world: int | None = None
-
-  def set(self, given: tuple[int, Sequence[float]] | None) -> None:
-    """Hold these values in this world, or in none."""
-    world, values = (None, None) if given is None else given
-    if self._world is not None and self._world != world:
-      self._command.steer(self._world, None)
-    self._world = world
-    if world is not None:
-      self._command.steer(world, values)
 
 
 def _ratio(speed: float) -> str:

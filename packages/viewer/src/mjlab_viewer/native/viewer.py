@@ -216,12 +216,11 @@ class NativeViewer:
 
   def _status(self) -> tuple[str, str]:
     playback = self.playback
-    state = "paused" if playback.paused else f"{playback.real_time_factor:.2g} x real time"
     rows = {
       "world": f"{self.selected} of {self.env.num_envs}",
       "step": str(playback.step_count),
-      "speed": f"{playback.speed:g}{' (too slow a machine)' if playback.is_capped else ''}",
-      "state": state,
+      "speed": f"{playback.speed:g}",
+      "state": playback.state,
     }
     if not self._is_finite:
       rows["diverged"] = "not finite: shown as it was before"
