@@ -31,7 +31,7 @@ def project(member: str) -> dict:
 
 
 def names(requirements: list[str]) -> set[str]:
-  """Distribution names of requirements, normalised."""
+  """Return normalised names of distributions of requirements."""
   return {re.split(r"[^A-Za-z0-9._-]", requirement)[0].lower().replace("_", "-") for requirement in requirements}
 
 
@@ -40,7 +40,7 @@ def required(member: str) -> set[str]:
 
 
 def installed_with(member: str) -> set[str]:
-  """What a member's own requirements name, and those of the members among them."""
+  """Return the requirements of a member, and those of the members among them."""
   found = required(member)
   for other in MEMBERS:
     if other != member and module_of(other).replace("_", "-") in found:
@@ -49,7 +49,7 @@ def installed_with(member: str) -> set[str]:
 
 
 def imports(folder: Path) -> Iterator[tuple[str, str]]:
-  """(where, top-level module) of every import statement below a folder."""
+  """Yield (place, top-level module) of every import statement below a folder."""
   of_source = {module.path: module for member in measure_source.members() for module in member.modules}
   for path in sorted(folder.rglob("*.py")):
     for line, name, _ in measure_source.imported(of_source.get(path, measure_source.Module("", path))):
@@ -86,7 +86,7 @@ def test_every_member_stands_under_the_contracts(member: str) -> None:
 
 
 @pytest.mark.parametrize("member", MEMBERS)
-def test_source_imports_only_what_the_member_declares(member: str) -> None:
+def test_source_imports_only_declared_requirements(member: str) -> None:
   optional = project(member)["project"].get("optional-dependencies", {})
   declared = required(member).union(*(names(extra) for extra in optional.values()))
   missing = undeclared(MEMBERS[member] / "src", declared, {module_of(member)})
@@ -94,7 +94,7 @@ def test_source_imports_only_what_the_member_declares(member: str) -> None:
 
 
 @pytest.mark.parametrize("member", MEMBERS)
-def test_tests_import_only_what_the_member_installs(member: str) -> None:
+def test_tests_import_only_installed_requirements(member: str) -> None:
   folder = MEMBERS[member] / "tests"
   own = {module_of(member), *(path.stem for path in folder.glob("*.py"))}
   extra = names(project(member).get("dependency-groups", {}).get("test", []))
@@ -102,13 +102,13 @@ def test_tests_import_only_what_the_member_installs(member: str) -> None:
   assert not missing, "\n".join(missing)
 
 
-def test_one_sync_installs_what_the_tests_of_all_members_need() -> None:
+def test_one_sync_installs_the_requirements_of_all_tests() -> None:
   dev = names(SETTINGS["dependency-groups"]["dev"])
   for member in MEMBERS:
     assert names(project(member).get("dependency-groups", {}).get("test", [])) <= dev | installed_with("mjlab"), member
 
 
-def test_lock_knows_what_every_member_requires() -> None:
+def test_the_lock_has_the_requirements_of_every_member() -> None:
   locked = {package["name"]: package for package in tomllib.loads((ROOT / "uv.lock").read_text("utf-8"))["package"]}
   for member in MEMBERS:
     metadata = locked[project(member)["project"]["name"]]["metadata"]

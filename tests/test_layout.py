@@ -1,4 +1,4 @@
-"""Every member has the same shape, and the repository holds nothing of the machine it was written on."""
+"""The common layout of members, and a repository without traces of a machine."""
 
 import ast
 import re
@@ -20,8 +20,12 @@ def module_folder(member: Path) -> Path:
   return member / "src" / ("mjlab" if member.name == "mjlab" else f"mjlab_{member.name}")
 
 
+def project_of(member: Path) -> dict:
+  return tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+
+
 def tracked_files() -> list[Path]:
-  """Files under version control that are there."""
+  """Return the present files under version control."""
   listed = subprocess.run(
     ["git", "-c", f"safe.directory={ROOT}", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
   ).stdout
@@ -29,7 +33,7 @@ def tracked_files() -> list[Path]:
 
 
 def text_of(path: Path) -> str:
-  """Contents of a text file; nothing for a binary one."""
+  """Return the contents of a text file, and nothing for a binary one."""
   data = path.read_bytes()
   return "" if b"\0" in data else data.decode("utf-8")
 
@@ -47,7 +51,7 @@ def test_member_has_a_readme_types_and_tests(member: Path) -> None:
 
 @each_member
 def test_member_declares_name_version_licence_and_description(member: Path) -> None:
-  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  project = project_of(member)
   assert project["name"] == module_folder(member).name.replace("_", "-")
   assert project["license"] == "Apache-2.0"
   # A wheel carries the licence's text, and holds nothing from outside of its member.
@@ -58,26 +62,22 @@ def test_member_declares_name_version_licence_and_description(member: Path) -> N
   assert re.fullmatch(r"\d+\.\d+\.\d+", project["version"])
 
 
-def versions() -> dict[str, str]:
-  projects = [tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"] for member in MEMBERS]
-  return {project["name"]: project["version"] for project in projects}
-
-
 @each_member
 def test_siblings_are_required_by_a_range_that_holds_their_present_version(member: Path) -> None:
-  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  project = project_of(member)
+  versions = {other["name"]: other["version"] for other in map(project_of, MEMBERS)}
   extras = project.get("optional-dependencies", {}).values()
   for requirement in [*project["dependencies"], *(entry for extra in extras for entry in extra)]:
-    if (name := re.split(r"[^\w-]", requirement)[0]) in versions():
+    if (name := re.split(r"[^\w-]", requirement)[0]) in versions:
       found = re.fullmatch(r"[\w-]+(?:\[[\w,-]+\])?>=([\d.]+),<([\d.]+)", requirement)
       assert found, f"{requirement}: expected a range such as >=0.2,<0.3"
-      low, version, high = (tuple(map(int, text.split("."))) for text in (found[1], versions()[name], found[2]))
+      low, version, high = (tuple(map(int, text.split("."))) for text in (found[1], versions[name], found[2]))
       assert low <= version < high, requirement
 
 
 @each_member
 def test_member_has_a_changelog_with_its_version(member: Path) -> None:
-  project = tomllib.loads((member / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+  project = project_of(member)
   text = (member / "CHANGELOG.md").read_text(encoding="utf-8")
   assert text.startswith(f"# Changelog of {project['name']}\n")
   headings = re.findall(r"^## \[(.+?)\](?: - \d{4}-\d\d-\d\d)?$", text, re.MULTILINE)
@@ -89,14 +89,9 @@ def test_member_has_a_changelog_with_its_version(member: Path) -> None:
 @each_member
 def test_public_face_is_listed(member: Path) -> None:
   tree = ast.parse((module_folder(member) / "__init__.py").read_text(encoding="utf-8"))
-  assigned = [
-    target.id
-    for node in tree.body
-    if isinstance(node, ast.Assign)
-    for target in node.targets
-    if isinstance(target, ast.Name)
+  assert "__all__" in [
+    ast.unparse(target) for node in tree.body if isinstance(node, ast.Assign) for target in node.targets
   ]
-  assert "__all__" in assigned
   assert ast.get_docstring(tree)
 
 

@@ -1,4 +1,4 @@
-"""The class of changes that did nothing: every parameter of every term of every task, changed by `set_params`."""
+"""Changes of every parameter of every term of every task by `set_params` act or are refused."""
 
 import contextlib
 import dataclasses
@@ -16,6 +16,12 @@ from mjlab_sensors import CameraSensorCfg
 
 WORLDS = 4
 STEPS = 6
+
+STEPS_OF_NUMBERS = (
+  *((1.5, 0.0), (1.0, 0.1), (0.5, 0.0), (0.0, 0.0), (1.0, -0.1)),
+  *((1e-3, 0.0), (1e3, 0.0), (-1.0, 0.0), (1.0, 1e3)),
+)
+"""Factors and offsets of changed numbers, the smallest changes first."""
 
 UNSEEN: dict[str, str] = {
   "illegal_contact.threshold": "nothing touches with a force between the values",
@@ -52,21 +58,6 @@ def differ(a: Any, b: Any) -> bool:
   )
 
 
-def numbers(value: Any) -> list[float]:
-  """Every number in a parameter."""
-  if isinstance(value, bool) or value is None:
-    return []
-  if isinstance(value, int | float):
-    return [value]
-  if isinstance(value, Mapping):
-    return [x for part in value.values() for x in numbers(part)]
-  if isinstance(value, list | tuple):
-    return [x for part in value for x in numbers(part)]
-  if dataclasses.is_dataclass(value) and not isinstance(value, SceneEntityCfg):
-    return [x for field in dataclasses.fields(value) for x in numbers(getattr(value, field.name))]
-  return []
-
-
 def changed(value: Any, factor: float, offset: float) -> Any:
   """Return a parameter with every number in it changed, whole ones by whole numbers."""
   if isinstance(value, bool) or value is None:
@@ -95,21 +86,8 @@ def candidates(value: Any) -> list[Any]:
     return [SceneEntityCfg("no_such_entity")]
   if isinstance(value, list | tuple) and any(isinstance(part, str) for part in value):
     return [type(value)(["no_such_name"])]
-  if not numbers(value):
-    return []
-  steps = (
-    (1.5, 0.0),
-    (1.0, 0.1),
-    (0.5, 0.0),
-    (0.0, 0.0),
-    (1.0, -0.1),
-    (1e-3, 0.0),
-    (1e3, 0.0),
-    (-1.0, 0.0),
-    (1.0, 1e3),
-  )
   found = []
-  for factor, offset in steps:
+  for factor, offset in STEPS_OF_NUMBERS:
     with contextlib.suppress(MjlabError):  # Some parameters check themselves.
       found.append(changed(value, factor, offset))
   return found
@@ -168,7 +146,7 @@ class Sweep:
     outcomes: list[str] = []
     records = False
     for new in candidates(value):
-      if new == value:
+      if new is value or new == value:
         continue
       undo = manager.remember()
       self.recaptures.clear()
