@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
-from mjlab_rl import references
+from mjlab_rl.runs import references
 
 if TYPE_CHECKING:
   from playwright.sync_api import Browser

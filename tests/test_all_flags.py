@@ -5,7 +5,7 @@ import enum
 from typing import Any
 
 import mjlab
-from mjlab.cli._flags import flags, parse
+from mjlab.cli.shared._flags import flags, parse
 
 Path = tuple[Any, ...]
 

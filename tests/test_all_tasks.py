@@ -16,7 +16,7 @@ from mjlab.environments import make
 from mjlab_core import RenderingError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import ReturnEvaluation
-from mjlab_rl.manifest import RunManifest, encode_manifest, load_run, write_manifest
+from mjlab_rl.runs.manifest import RunManifest, encode_manifest, load_run, write_manifest
 from mjlab_sensors import RayCastSensor
 from mjlab_viewer import SnapshotTaker
 

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab.cli._clip_preview import clip_replay, preview_model
+from mjlab.cli.shared._clip_preview import clip_replay, preview_model
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import Motion, load_motion, resample, shipped_clips
 from mjlab_tracking.mdp import MotionCommand, MotionCommandCfg

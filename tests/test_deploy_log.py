@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from mjlab_deploy.run_log import write_mcap
+from mjlab_deploy.robot.run_log import write_mcap
 from mjlab_sysid import read_records
 
 

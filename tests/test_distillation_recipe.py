@@ -14,7 +14,7 @@ from mjlab.environments import standard_env
 from mjlab_manipulation import LiftEvaluation
 from mjlab_manipulation.mdp import lift_command
 from mjlab_rl import Console, RslRlDistillationRunnerCfg, RslRlModelCfg, RslRlVecEnvWrapper, load_run
-from mjlab_rl.distillation import runner_class
+from mjlab_rl.onpolicy.distillation import runner_class
 
 README = Path(__file__).parents[1] / "tasks" / "manipulation" / "README.md"
 TEACHER = "Mjlab-Lift-Cube-Yam"

@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_sim.warp.fused_newton import FusedNewton, refusal
+from mjlab_sim.warp.solver.fused_newton import FusedNewton, refusal
 from sim_problem import Problem
 
 TASKS = (

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from mjlab.cli._task_help import _read
+from mjlab.cli.shared._task_help import _read
 
 HEAVY = {"torch", "warp", "mujoco", "mujoco_warp", "numpy", "scipy", "gymnasium", "rsl_rl", "tensordict"}
 HEAVY |= {"rich", "tyro", "viser"}

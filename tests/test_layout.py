@@ -119,6 +119,13 @@ def test_no_module_is_a_drawer_for_everything() -> None:
   assert [path for path in tracked_files() if path.name in drawers] == []
 
 
+@each_member
+def test_folders_have_at_most_a_dozen_modules(member: Path) -> None:
+  counts = Counter(path.parent for path in module_folder(member).rglob("*.py") if path.name != "__init__.py")
+  # The folder of commands has one module per command.
+  assert {folder.name for folder, count in counts.items() if count > 12} <= {"cli"}
+
+
 def test_links_in_documents_lead_somewhere() -> None:
   broken = []
   for path in tracked_files():

@@ -11,7 +11,7 @@ import torch
 from mjlab_core.errors import MjlabError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_managers import ManagerBase, SceneEntityCfg
-from mjlab_managers.binding import Term
+from mjlab_managers.terms.binding import Term
 from mjlab_sensors import CameraSensorCfg
 
 WORLDS = 4

@@ -11,7 +11,7 @@ PICTURES = {
   "viewer": "from mjlab_viewer.pictures.opengl import make_context; kept = make_context(64, 64)",
   "terrain": "from mjlab_terrain import FlatCfg, TerrainGridCfg\nfrom mjlab_terrain.view.picture import render\n"
   "render(TerrainGridCfg(types={'flat': FlatCfg()}, rows=1), (32, 32))",
-  "deploy": "from mjlab_deploy.camera import _opengl; kept = _opengl(64, 64)",
+  "deploy": "from mjlab_deploy.simulation.camera import _opengl; kept = _opengl(64, 64)",
 }
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab import cli
-from mjlab.cli import _watching
+from mjlab.cli.shared import _watching
 from mjlab_command import running
 from mjlab_sim import NanGuard, NanGuardCfg, Simulation, SimulationCfg
 from mjlab_viewer import BrowserViewer

@@ -16,15 +16,15 @@ from mjlab.environments import standard_env
 from mjlab.registry import load_task
 from mjlab_core.errors import MjlabError
 from mjlab_deploy import Bundle, DeployError, Policy, open_bundle
-from mjlab_deploy.adoption import adopted
-from mjlab_deploy.camera import Cameras
-from mjlab_deploy.closed_loop import ClosedLoop
-from mjlab_deploy.other_formats import G1_MOTORS, REFERENCE_OUTPUTS
-from mjlab_deploy.simulated_run import SimulatedRun
-from mjlab_deploy.verification import verify
+from mjlab_deploy.formats.adoption import adopted
+from mjlab_deploy.formats.other_formats import G1_MOTORS, REFERENCE_OUTPUTS
+from mjlab_deploy.simulation.camera import Cameras
+from mjlab_deploy.simulation.closed_loop import ClosedLoop
+from mjlab_deploy.simulation.simulated_run import SimulatedRun
+from mjlab_deploy.simulation.verification import verify
 from mjlab_rl import CheckpointPolicy, OnnxPolicy
-from mjlab_rl.policy_bundle import BundleWriter, record, without_noise
-from mjlab_rl.reference_policy import write_for_others
+from mjlab_rl.bundles.policy_bundle import BundleWriter, record, without_noise
+from mjlab_rl.bundles.reference_policy import write_for_others
 from mjlab_velocity import sim_to_real
 
 STEPS = 110

@@ -7,7 +7,7 @@ from mjlab.demos import TASKS, shipped
 from mjlab.environments import standard_env
 from mjlab.registry import list_tasks, load_task
 from mjlab_deploy import open_bundle
-from mjlab_deploy.verification import verify
+from mjlab_deploy.simulation.verification import verify
 from mjlab_rl import BundlePolicy
 
 MOST_BYTES = 12e6

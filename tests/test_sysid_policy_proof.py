@@ -8,7 +8,7 @@ import pytest
 import sysid_policy_proof as proof
 from mjlab import load_task
 from mjlab_robots import go1
-from mjlab_scene.overlay import read_overlay
+from mjlab_scene.models.overlay import read_overlay
 from mjlab_sysid import Robot
 
 OVERLAY = Path(__file__).parents[1] / "docs/benchmarks/sysid_go1.json"

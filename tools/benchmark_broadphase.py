@@ -18,7 +18,7 @@ import torch
 import warp as wp
 from benchmark_step import heading, make, synchronize, timed
 from mjlab_sim.warp import internals
-from mjlab_sim.warp.grouped_broadphase import GroupedBroadphase
+from mjlab_sim.warp.collision.grouped_broadphase import GroupedBroadphase
 
 TASKS = ("Mjlab-Velocity-Rough-Unitree-G1", "Mjlab-Velocity-Rough-Unitree-Go1")
 LAUNCHES = 20

@@ -31,7 +31,7 @@ from mjlab_rl import (
   load_run,
   train,
 )
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 
 TASK = "Mjlab-Cartpole-Swingup"
 WORLDS = 256

@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import torch
 from mjlab import load_task
-from mjlab.cli._flags import parse
 from mjlab.cli._train import Arguments
+from mjlab.cli.shared._flags import parse
 from mjlab.environments import resolve_device, standard_env
 from mjlab_rl import Console, OffPolicyRunnerCfg, train, with_agent
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 
 COLUMNS = {
   "seconds": "elapsed",

@@ -21,7 +21,7 @@ import warp as wp
 from benchmark_step import synchronize, timed
 from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 from mjlab_sim.warp import rays
 from stage_timing import ENGINE_CALLS, time_methods
 

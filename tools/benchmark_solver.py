@@ -20,7 +20,7 @@ import mujoco_warp as mjw
 import torch
 import warp as wp
 from benchmark_step import heading, make, synchronize
-from mjlab_sim.warp.fused_newton import FusedNewton
+from mjlab_sim.warp.solver.fused_newton import FusedNewton
 
 GO1, G1 = "Mjlab-Velocity-Flat-Unitree-Go1", "Mjlab-Velocity-Flat-Unitree-G1"
 _96 = {"rows": 96, "groups": 384}

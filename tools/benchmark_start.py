@@ -154,7 +154,7 @@ def main() -> None:
 def write(path: Path, task: str, rows: list[str]) -> None:
   """Write the table with what it was measured on."""
   import torch
-  from mjlab_rl.manifest import package_versions
+  from mjlab_rl.runs.manifest import package_versions
 
   versions = package_versions()
   packages = ", ".join(f"{name} {versions[name]}" for name in ("mujoco", "mujoco-warp", "torch", "rsl-rl-lib"))

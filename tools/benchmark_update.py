@@ -20,7 +20,7 @@ import torch
 from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import RslRlOnPolicyRunnerCfg
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 from rsl_rl.algorithms import PPO
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict

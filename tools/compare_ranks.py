@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from mjlab import environments, load_task
 from mjlab_rl import Console, train
-from mjlab_rl.ranks import Ranks
+from mjlab_rl.processes.ranks import Ranks
 
 COLOURS = {1: "#c46a1b", 2: "#1b6ca8"}
 

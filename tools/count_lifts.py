@@ -16,8 +16,8 @@ from mjlab.demos import TASKS, shipped
 from mjlab.environments import standard_env
 from mjlab.registry import load_task
 from mjlab_deploy import Bundle, open_bundle
-from mjlab_deploy.loopback import RATE
-from mjlab_deploy.simulated_run import SimulatedRun
+from mjlab_deploy.simulation.loopback import RATE
+from mjlab_deploy.simulation.simulated_run import SimulatedRun
 from mjlab_manipulation.lift import COMMAND, HOLD, TOLERANCE
 
 NAME, SECONDS, STAND, HALF_CUBE = "lift-rgb", 10.0, 1.0, 0.02

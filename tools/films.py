@@ -19,7 +19,7 @@ from mjlab import load_task
 from mjlab.demos import shipped
 from mjlab.environments import standard_env
 from mjlab_rl import BundlePolicy, TaskCfg
-from mjlab_rl.bundle_policy import task_of_bundle
+from mjlab_rl.bundles.bundle_policy import task_of_bundle
 from mjlab_viewer import CameraCfg, OffscreenRenderer, PictureCfg, SnapshotTaker
 from PIL import Image
 

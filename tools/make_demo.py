@@ -16,8 +16,8 @@ from mjlab import load_task
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_manipulation import LiftEvaluation
 from mjlab_rl import CheckpointPolicy, RunManifest
-from mjlab_rl.checkpoint import read_checkpoint, write_checkpoint
-from mjlab_rl.manifest import package_versions, write_manifest
+from mjlab_rl.runs.checkpoint import read_checkpoint, write_checkpoint
+from mjlab_rl.runs.manifest import package_versions, write_manifest
 from mjlab_velocity.mdp import UniformVelocityCommandCfg, VelocityRanges
 
 PACKAGE = Path(__file__).parents[1] / "packages" / "mjlab" / "src" / "mjlab"

@@ -28,9 +28,9 @@ QUESTION = re.compile(r"(what|whether|who|whoever|whom|whose|how|where|which|why
 # The modules of each library in which its private names may be used. Managers do not import sim.
 PRIVATE_HOMES = {
   "mujoco_warp": ("mjlab_sim.warp.internals",),
-  "warp": ("mjlab_sim.warp.tile_solvers",),
-  "torch": ("mjlab_sim.tensors", "mjlab_managers.watch"),
-  "mjviser": ("mjlab_viewer.browser.mjviser_scene",),
+  "warp": ("mjlab_sim.warp.solver.tile_solvers",),
+  "torch": ("mjlab_sim.tensors", "mjlab_managers.terms.watch"),
+  "mjviser": ("mjlab_viewer.browser.world.mjviser_scene",),
   "viser": ("mjlab_viewer.browser.viser_internals",),
 }
 # Public names of named tuples, in spite of their form.

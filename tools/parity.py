@@ -27,7 +27,7 @@ import gymnasium
 import numpy as np
 import torch
 from gymnasium_worlds import Hopper, Pendulum, SceneCfg, Worlds, WorldsCfg
-from mjlab.cli._flags import parse
+from mjlab.cli.shared._flags import parse
 from mjlab_rl import Console, OffPolicyRunnerCfg, RslRlOnPolicyRunnerCfg
 from mjlab_rl.offpolicy import PRESETS
 from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner

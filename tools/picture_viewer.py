@@ -18,7 +18,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import torch
-from mjlab.cli._clip_preview import clip_replay, preview_model
+from mjlab.cli.shared._clip_preview import clip_replay, preview_model
 from mjlab.nan_replay import NanReplay
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_motions import load_motion, shipped_clips

@@ -18,14 +18,14 @@ import torch
 import warp as wp
 from benchmark_step import heading, make, timed
 from mjlab_envs import ManagerBasedRlEnv
-from mjlab_managers.binding import Term
+from mjlab_managers.terms.binding import Term
 
 MARK = "spin_kernel"
 REST = "rest of the step"
 STAGES = ("act", "simulate", "terminate", "reward", "reset", "command", "event", "observe")
 LIBRARIES = {
   "mujoco_warp": "MuJoCo Warp",
-  "mjlab_sim.warp.fused_newton": "constraint solver of this project",
+  "mjlab_sim.warp.solver.fused_newton": "constraint solver of this project",
   "mjlab_sim.warp.rays": "rays of this project",
   "mjlab_sim.warp": "other Warp kernels of this project",
   "mjlab": "other Warp kernels of this project",

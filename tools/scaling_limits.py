@@ -17,7 +17,7 @@ import torch
 from mjlab import make
 from mjlab.registry import load_task
 from mjlab_rl import MjlabOnPolicyRunner, RslRlVecEnvWrapper
-from mjlab_rl.process_state import pack
+from mjlab_rl.runs.process_state import pack
 
 # Rollout and update of 4096 environments on one H200 [s], measured: docs/benchmarks/scaling.md.
 TASKS = {

@@ -16,7 +16,7 @@ from mjlab import cli, load_task
 from mjlab.demos import TASKS
 from mjlab.environments import standard_env
 from mjlab_deploy import open_bundle
-from mjlab_deploy.verification import verify
+from mjlab_deploy.simulation.verification import verify
 from mjlab_rl import BundlePolicy, find_checkpoint, load_run
 
 FOLDER = Path(__file__).parents[1] / "packages" / "mjlab" / "src" / "mjlab" / "demo_policies"

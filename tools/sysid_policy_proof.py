@@ -32,10 +32,10 @@ import mujoco
 import numpy as np
 from mjlab import cli, load_task
 from mjlab_deploy import Bundle, Policy, open_bundle
-from mjlab_deploy.model_readings import ModelReadings
+from mjlab_deploy.simulation.model_readings import ModelReadings
 from mjlab_robots.go1 import GO1_DEFAULT_HEIGHT
 from mjlab_scene import Scene
-from mjlab_scene.overlay import read_overlay
+from mjlab_scene.models.overlay import read_overlay
 from mjlab_sysid import Record, Robot, write_record
 
 TASK = "Mjlab-Velocity-Flat-Unitree-Go1"

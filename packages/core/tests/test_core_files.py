@@ -7,7 +7,7 @@ import unicodedata
 from pathlib import Path
 
 import pytest
-from mjlab_core.files import AtomicWrite, printable, remove_leftovers, safe_name
+from mjlab_core.io.files import AtomicWrite, printable, remove_leftovers, safe_name
 
 
 def _names(folder: Path) -> list[str]:
@@ -48,7 +48,7 @@ def test_data_and_name_are_synced_before_and_after_the_rename(tmp_path: Path, mo
 
 def test_leftovers_of_ended_processes_are_removed_and_nothing_else(tmp_path: Path) -> None:
   code = (
-    "import os, sys; from mjlab_core.files import AtomicWrite\n"
+    "import os, sys; from mjlab_core.io.files import AtomicWrite\n"
     "AtomicWrite(sys.argv[1]).temporary.write_text('half')\n"
     "AtomicWrite(sys.argv[2]).temporary.mkdir()\n"
     "os._exit(9)"

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from deploy_bundles import DEFAULT, EFFORT, KD, KP, SCALE, SCENE, SERVO, save_graph
 from mjlab_deploy import Policy
-from mjlab_deploy.adoption import adopted
 from mjlab_deploy.command import main
-from mjlab_deploy.simulated_run import SimulatedRun
+from mjlab_deploy.formats.adoption import adopted
+from mjlab_deploy.simulation.simulated_run import SimulatedRun
 from onnx import helper
 
 METADATA = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, SCENE, write_bundle
 from mjlab_deploy import DeployError, Input, Origin, open_bundle
-from mjlab_deploy.loopback import LoopbackRobot
+from mjlab_deploy.simulation.loopback import LoopbackRobot
 
 # A camera above the pole looks down on a red box; what its sensor sees is twice as wide as high.
 EYE = """

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.image import imread
 from mjlab_deploy import Bundle
 from mjlab_deploy.command import main
-from mjlab_deploy.gamepad import Gamepad, connected_gamepad
-from mjlab_deploy.simulated_run import SimulatedRun
+from mjlab_deploy.robot.gamepad import Gamepad, connected_gamepad
+from mjlab_deploy.simulation.simulated_run import SimulatedRun
 
 BUTTONS = [0] * 15
 

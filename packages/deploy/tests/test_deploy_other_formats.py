@@ -7,7 +7,7 @@ import pytest
 import yaml
 from deploy_bundles import DESCRIPTION
 from mjlab_deploy import Command, DeployError, Description, Joint, Observation, Target
-from mjlab_deploy.other_formats import QUADRUPED_MOTORS, onnx_metadata, unitree_deploy_yaml
+from mjlab_deploy.formats.other_formats import QUADRUPED_MOTORS, onnx_metadata, unitree_deploy_yaml
 
 
 def quadruped() -> Description:

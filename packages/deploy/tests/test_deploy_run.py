@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from mjlab_deploy import Bundle, open_bundle
 from mjlab_deploy.arrays import read_arrays
 from mjlab_deploy.command import main
-from mjlab_deploy.simulated_run import SimulatedRun
+from mjlab_deploy.simulation.simulated_run import SimulatedRun
 
 
 def test_a_run_is_logged(bundle: Bundle, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from deploy_bundles import DEFAULT, DESCRIPTION, HINGE, write_bundle
 from mjlab_deploy import Bundle, DeployError, Description, open_bundle
-from mjlab_deploy.loopback import LoopbackRobot
-from mjlab_deploy.robot_io import RobotCommand, RobotInfo, RobotState
-from mjlab_deploy.runner import Runner
-from mjlab_deploy.safety import Safety, SafetyLimits
+from mjlab_deploy.robot.robot_io import RobotCommand, RobotInfo, RobotState
+from mjlab_deploy.robot.runner import Runner
+from mjlab_deploy.robot.safety import Safety, SafetyLimits
+from mjlab_deploy.simulation.loopback import LoopbackRobot
 
 MESSAGE = 0.002  # s
 IN_TIME = 0.020  # s

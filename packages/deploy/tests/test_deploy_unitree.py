@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, HINGE, SCENE, write_bundle
 from mjlab_deploy import DeployError, open_bundle
-from mjlab_deploy.loopback import LoopbackRobot
-from mjlab_deploy.robot_io import RobotCommand
-from mjlab_deploy.runner import Runner
-from mjlab_deploy.unitree import MODELS, UnitreeRobot, connect
+from mjlab_deploy.formats.unitree import MODELS, UnitreeRobot, connect
+from mjlab_deploy.robot.robot_io import RobotCommand
+from mjlab_deploy.robot.runner import Runner
+from mjlab_deploy.simulation.loopback import LoopbackRobot
 
 ROBOTS = pytest.mark.parametrize("model", MODELS)
 

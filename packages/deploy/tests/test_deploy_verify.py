@@ -13,8 +13,8 @@ from deploy_bundles import DESCRIPTION, SCENE, write_bundle
 from mjlab_deploy import DeployError, Golden, open_bundle, write_description
 from mjlab_deploy.arrays import read_arrays, write_arrays
 from mjlab_deploy.command import main
-from mjlab_deploy.scene import load_scene, write_scene
-from mjlab_deploy.verification import Report, verify
+from mjlab_deploy.simulation.scene import load_scene, write_scene
+from mjlab_deploy.simulation.verification import Report, verify
 
 RECORDED = replace(DESCRIPTION, golden=Golden(steps=100, engine="native"))
 

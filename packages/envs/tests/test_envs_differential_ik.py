@@ -11,7 +11,7 @@ from envs_watch import Watch
 from mjlab_actuators import NativePositionActuatorCfg
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnvCfg, mdp
-from mjlab_envs.mdp.differential_ik import solve_definite
+from mjlab_envs.mdp.action_terms.differential_ik import solve_definite
 from mjlab_scene import EntityArticulationCfg, EntityCfg, InitialStateCfg, SceneCfg
 from mjlab_sim import SimulationCfg
 

@@ -23,7 +23,7 @@ from mjlab_managers import (
   RecorderTermCfg,
 )
 from mjlab_sensors import BuiltinSensorCfg
-from mjlab_sensors.builtin import BuiltinSensor
+from mjlab_sensors.native.builtin import BuiltinSensor
 
 FAILS_FROM = {"step": 0}
 """Steps after which the terms below fail; a test that wants them to fail later sets it."""

@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 from mjlab.cli import convert_motion as main
-from mjlab.cli._clip_preview import clip_replay, preview_model
 from mjlab.cli._convert_motion import robot_spec
+from mjlab.cli.shared._clip_preview import clip_replay, preview_model
 from mjlab_motions import Kinematics, derived_arrays, load_motion, shipped_clips
 from mjlab_viewer import BrowserViewer, SnapshotTaker
 from mjlab_viewer.replay import Replay

@@ -16,7 +16,7 @@ import torch
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from mjlab import cli
-from mjlab.cli import _plots
+from mjlab.cli.shared import _plots
 
 TASK = mjlab_pendulum.TASK
 pytestmark = pytest.mark.usefixtures("pendulum_here")
@@ -83,7 +83,7 @@ def test_the_exit_code_says_whether_thresholds_were_reached(capsys: pytest.Captu
 def test_progress_is_printed_in_lines_without_a_terminal(
   capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-  monkeypatch.setattr("mjlab.cli._progress.INTERVAL", 0.0)
+  monkeypatch.setattr("mjlab.cli.shared._progress.INTERVAL", 0.0)
   assert evaluate("--agent", "zero") == 0
   lines = capsys.readouterr().err.splitlines()
   # 25 steps; the result follows the last one.

@@ -16,7 +16,8 @@ from mjlab.cli import _export, _play
 from mjlab_deploy import Policy, open_bundle
 from mjlab_envs import mdp
 from mjlab_managers import ObservationTermCfg
-from mjlab_rl import CheckpointPolicy, policy_bundle, policy_graph
+from mjlab_rl import CheckpointPolicy
+from mjlab_rl.bundles import policy_bundle, policy_graph
 from PIL import Image
 
 TASK = mjlab_pendulum.TASK

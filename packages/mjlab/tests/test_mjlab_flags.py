@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import pytest
-from mjlab.cli._flags import flags, help_rows, parse, print_completion
-from mjlab.cli._task_help import task_help
+from mjlab.cli.shared._flags import flags, help_rows, parse, print_completion
+from mjlab.cli.shared._task_help import task_help
 from mjlab_core import UsageError
 
 # A configuration may hold a list where its annotation says tuple.

@@ -6,7 +6,7 @@ import sys
 
 WORK = """
 import sys
-from mjlab.cli._progress import progress_bar
+from mjlab.cli.shared._progress import progress_bar
 with progress_bar("evaluating", 4) as show:
   for done in range(1, 4):
     show(done, f"{done} episodes")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from mjlab.environments import default_num_envs
 from mjlab_core import MjlabError
-from mjlab_rl.encoding import decode, encode
+from mjlab_rl.runs.encoding import decode, encode
 
 
 @pytest.fixture(autouse=True)

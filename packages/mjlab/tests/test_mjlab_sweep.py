@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from mjlab.cli import sweep
 from mjlab.cli._sweep import report
-from mjlab.cli._sweep_space import Range, Space, Trial, trial_flags
+from mjlab.cli.shared._sweep_space import Range, Space, Trial, trial_flags
 from mjlab_command import running
 
 TASK = "Mjlab-Cartpole-Balance"

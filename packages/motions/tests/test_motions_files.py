@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from mjlab_core.errors import FileError, MjlabError
-from mjlab_motions.formats import read_motion
 from mjlab_motions.kinematics import derived_arrays
 from mjlab_motions.motion import Motion
 from mjlab_motions.motion_file import load_motion, save_motion
-from mjlab_motions.statement import Statement
+from mjlab_motions.reading.formats import read_motion
+from mjlab_motions.reading.statement import Statement
 from motions_robot import arrays_of, npz, qpos_of, robot, wiggle
 
 

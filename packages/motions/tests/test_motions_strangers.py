@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mjlab_core.errors import FileError, MjlabError
-from mjlab_core.npz import Npz
+from mjlab_core.io.npz import Npz
 from mjlab_motions import Motion, Statement, derived_arrays, find_clips, load_motion, read_motion, resample, save_motion
 from mjlab_motions.clips import MAX_BYTES
 from motions_robot import arrays_of, constant, npz, qpos_of, robot, wiggle

@@ -65,23 +65,26 @@ rsl_rl.utils.utils:resolve_callable msgspec.json:decode antigravity:geohash __ma
 """Callables outside trusted packages."""
 
 WALKS = """
-mjlab_core:os.system mjlab_core.files:os.system mjlab_core.files:os mjlab_core.files:shutil.rmtree
-mjlab_core.files:Path.unlink mjlab_rl.manifest:subprocess.run mjlab_rl.manifest:subprocess.Popen
-mjlab_rl.manifest:os.system mjlab_rl.manifest:Path mjlab_rl.manifest:Path.write_text mjlab_rl.manifest:reading
-mjlab_rl.manifest:json.loads mjlab_rl.checkpoint:torch.load mjlab_rl.checkpoint:pickle.loads
-mjlab_rl.references:importlib.import_module mjlab_rl.references:sys.modules.os
-mjlab_rl.manifest:load_run.__globals__ mjlab_rl.manifest:load_run.__code__
-mjlab_core.files:AtomicWrite.__init__.__globals__ mjlab_rl.config:__builtins__.eval mjlab_rl:__loader__
-mjlab_rl.manifest:RunManifest.__subclasses__ mjlab_rl.manifest:RunManifest.__class__
-mjlab_rl.manifest:RunManifest.__init__ mjlab_core.files:_COUNTER mjlab_core.files:_WRITING.add
-mjlab_rl.manifest:_MAX_BYTES mjlab_rl.os:system mjlab_rl.manifest.os:system mjlab_rl.__init__:train mjlab_rl:train
+mjlab_core:os.system mjlab_core.io.files:os.system mjlab_core.io.files:os mjlab_core.io.files:shutil.rmtree
+mjlab_core.io.files:Path.unlink mjlab_rl.runs.manifest:subprocess.run mjlab_rl.runs.manifest:subprocess.Popen
+mjlab_rl.runs.manifest:os.system mjlab_rl.runs.manifest:Path mjlab_rl.runs.manifest:Path.write_text
+mjlab_rl.runs.manifest:reading
+mjlab_rl.runs.manifest:json.loads mjlab_rl.runs.checkpoint:torch.load mjlab_rl.runs.checkpoint:pickle.loads
+mjlab_rl.runs.references:importlib.import_module mjlab_rl.runs.references:sys.modules.os
+mjlab_rl.runs.manifest:load_run.__globals__ mjlab_rl.runs.manifest:load_run.__code__
+mjlab_core.io.files:AtomicWrite.__init__.__globals__ mjlab_rl.config:__builtins__.eval mjlab_rl:__loader__
+mjlab_rl.runs.manifest:RunManifest.__subclasses__ mjlab_rl.runs.manifest:RunManifest.__class__
+mjlab_rl.runs.manifest:RunManifest.__init__ mjlab_core.io.files:_COUNTER mjlab_core.io.files:_WRITING.add
+mjlab_rl.runs.manifest:_MAX_BYTES mjlab_rl.os:system mjlab_rl.runs.manifest.os:system mjlab_rl.__init__:train
+mjlab_rl:train
 """.split()
 """Ways from a trusted package to something that is not defined in it."""
 
 MALFORMED: list[Any] = [
   "", ":", "os", ":system", "mjlab_rl", "mjlab_rl:", "mjlab_rl..manifest:load_run", "../x:y", "mjlab_rl/../os:system",
-  "mjlab_rl.manifest:load_run\n", "mjlab_rl.manifest: load_run", "ｏｓ:system", "mjlab_rl.manifest:load_run()",
-  "mjlab_rl.manifest:load_run:x", "\x1b[31mos:system", "x" * 5000, 3, None, ["os", "system"], {"$ref": "os:system"},
+  "mjlab_rl.runs.manifest:load_run\n", "mjlab_rl.runs.manifest: load_run", "ｏｓ:system",
+  "mjlab_rl.runs.manifest:load_run()", "mjlab_rl.runs.manifest:load_run:x", "\x1b[31mos:system", "x" * 5000, 3, None,
+  ["os", "system"], {"$ref": "os:system"},
 ]  # fmt: skip
 
 
@@ -94,7 +97,7 @@ def _path(name: str = VICTIM) -> dict[str, str]:
   return {"$path": name}
 
 
-_CHECKPOINT = "mjlab_rl.checkpoint:write_checkpoint"
+_CHECKPOINT = "mjlab_rl.runs.checkpoint:write_checkpoint"
 _TERM = "rl_point_env:PointTermCfg"
 _ENTITY = "rl_point_env:PointEntityCfg"
 
@@ -114,29 +117,29 @@ PLACED: list[tuple[str, Any]] = [
   ("play", partial("functools:partial", {"$ref": "os:system"}, f"touch {VICTIM}")),
   ("play", partial("operator:methodcaller", "unlink")),
   ("play", partial({"$type": "subprocess:Popen", "fields": {}})),
-  ("play", partial("mjlab_rl.manifest:_git", _path("."), "-c", f"alias.x=!touch {VICTIM}")),
-  ("play", {"$ref": "mjlab_core.files:remove_leftovers"}),
+  ("play", partial("mjlab_rl.runs.manifest:_git", _path("."), "-c", f"alias.x=!touch {VICTIM}")),
+  ("play", {"$ref": "mjlab_core.io.files:remove_leftovers"}),
   ("play", {"$ref": "mjlab.cli:main"}),
   ("play", partial("mjlab.cli:main", ["export-scene", "x", "--force"])),
   ("make_env", partial("subprocess:run", f"touch {VICTIM}", shell=True)),
   ("make_env", partial(_CHECKPOINT, _path())),
-  ("make_env", {"$ref": "mjlab_core.files:AtomicWrite"}),
-  ("make_env", {"$ref": "mjlab_core.files:remove_leftovers"}),
+  ("make_env", {"$ref": "mjlab_core.io.files:AtomicWrite"}),
+  ("make_env", {"$ref": "mjlab_core.io.files:remove_leftovers"}),
   ("runner", {"$ref": "subprocess:Popen"}),
-  ("runner", {"$ref": "mjlab_core.files:AtomicWrite"}),
-  ("runner", {"$ref": "mjlab_rl.manifest:load_run"}),
+  ("runner", {"$ref": "mjlab_core.io.files:AtomicWrite"}),
+  ("runner", {"$ref": "mjlab_rl.runs.manifest:load_run"}),
   ("env.fields.rewards.f", partial("os:system", f"touch {VICTIM}")),
   ("env.fields.rewards.f", partial(_CHECKPOINT, _path(), {})),
   ("env.fields.rewards.f", [{"deep": partial(_CHECKPOINT, _path(), {})}]),
   ("env.fields.terms.t", _term(partial(_CHECKPOINT, _path()))),
   ("env.fields.terms.t", _term({"$ref": _CHECKPOINT}, state={}, path=_path())),
-  ("env.fields.terms.t", _term({"$ref": "mjlab_core.files:AtomicWrite"}, path=_path())),
+  ("env.fields.terms.t", _term({"$ref": "mjlab_core.io.files:AtomicWrite"}, path=_path())),
   ("env.fields.terms.t", _term({"$ref": "mjlab_rl.vec_env:RslRlVecEnvWrapper"})),
   ("env.fields.terms.t", _term(partial("rl_point_env:point_reward", 1.0))),
   ("env.fields.terms.t", _term("os:system")),
   ("env.fields.entities.e", _entity(spec_fn=partial("os:system", f"touch {VICTIM}"))),
-  ("env.fields.entities.e", _entity(spec_fn=partial("mjlab_rl.manifest:_git", _path("."), "status"))),
-  ("env.fields.entities.e", _entity(spec_fn=partial("mjlab_core.files:remove_leftovers", "."))),
+  ("env.fields.entities.e", _entity(spec_fn=partial("mjlab_rl.runs.manifest:_git", _path("."), "status"))),
+  ("env.fields.entities.e", _entity(spec_fn=partial("mjlab_core.io.files:remove_leftovers", "."))),
   (
     "env.fields.entities.e",
     _entity(spec_fn={"$ref": "rl_point_env:point_scene"}, edit_fn=partial(_CHECKPOINT, _path())),
@@ -144,14 +147,14 @@ PLACED: list[tuple[str, Any]] = [
   ("env.fields.entities.e", _entity(spec_fn=partial("rl_point_env:point_scene", 1, 2, 3))),
   # Constructors.
   ("env", {"$type": "subprocess:Popen", "fields": {"args": f"touch {VICTIM}", "shell": True}}),
-  ("env", {"$type": "mjlab_core.files:AtomicWrite", "fields": {"path": VICTIM}}),
+  ("env", {"$type": "mjlab_core.io.files:AtomicWrite", "fields": {"path": VICTIM}}),
   ("env", {"$type": "pathlib:Path", "fields": {}}),
-  ("env", {"$type": "mjlab_rl.manifest:load_run", "fields": {}}),
+  ("env", {"$type": "mjlab_rl.runs.manifest:load_run", "fields": {}}),
   ("env", {"$type": "mjlab_rl.config:RslRlModelCfg", "fields": {"__class__": 1}}),
   ("agent", {"$type": "mjlab_rl.config:RslRlModelCfg", "fields": {}}),
   ("env.fields.scene", {"$type": "mjlab_rl.config:RslRlModelCfg", "fields": {}}),
   ("env.fields.rewards.f", {"$enum": "os:system", "name": "x"}),
-  ("env.fields.rewards.f", {"$enum": "mjlab_rl.manifest:RunManifest", "name": "__init__"}),
+  ("env.fields.rewards.f", {"$enum": "mjlab_rl.runs.manifest:RunManifest", "name": "__init__"}),
   ("env.fields.rewards.f", {"$enum": "mujoco._enums:mjtGeom.__class__", "name": "mro"}),
   ("env.fields.rewards.f", {"$array": [{"$ref": "os:system"}], "dtype": "object", "shape": [1]}),
   ("env.fields.rewards.f", {"$array": [], "dtype": "float64", "shape": [1 << 40]}),
@@ -160,7 +163,7 @@ PLACED: list[tuple[str, Any]] = [
   ("agent.fields.actor.fields.class_name", "os.system"),
   ("agent.fields.actor.fields.class_name", "subprocess:Popen"),
   ("agent.fields.actor.fields.class_name", "Popen"),
-  ("agent.fields.actor.fields.class_name", "mjlab_core.files:AtomicWrite"),
+  ("agent.fields.actor.fields.class_name", "mjlab_core.io.files:AtomicWrite"),
   ("agent.fields.critic.fields.class_name", "torch:load"),
   ("agent.fields.critic.fields.class_name", "rsl_rl.utils.utils:resolve_callable"),
   ("agent.fields.algorithm.fields.class_name", "webbrowser:open"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import mjlab_rl
 import torch
-from mjlab_rl.ranks import Ranks
+from mjlab_rl.processes.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg
 
 

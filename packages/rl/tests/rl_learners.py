@@ -21,7 +21,7 @@ from mjlab_rl import (
   RslRlOnPolicyRunnerCfg,
   RslRlVecEnvWrapper,
 )
-from mjlab_rl.ranks import Ranks
+from mjlab_rl.processes.ranks import Ranks
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 from torch import distributed
 from torch.utils._python_dispatch import TorchDispatchMode

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import torch
 from mjlab_rl import RslRlModelCfg, RslRlPpoAlgorithmCfg
-from mjlab_rl.captured_ppo import CapturedPPO
+from mjlab_rl.onpolicy.captured_ppo import CapturedPPO
 from rsl_rl.algorithms import PPO
 from tensordict import TensorDict
 

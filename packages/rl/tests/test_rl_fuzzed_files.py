@@ -17,7 +17,7 @@ import rl_point_env
 import torch
 from mjlab_core.errors import FileError
 from mjlab_rl import OnnxPolicy, RslRlOnPolicyRunnerCfg, RunManifest, load_run
-from mjlab_rl.manifest import encode_manifest
+from mjlab_rl.runs.manifest import encode_manifest
 from rl_learners import agent, learner, runner
 from rl_onnx_files import linear_policy
 

@@ -11,8 +11,8 @@ import rl_point_env
 from hostile_manifests import PLACED, VICTIM, hostile, nothing_happens, partial, put, write
 from mjlab_core.errors import ConfigError, FileError
 from mjlab_rl import MjlabDistillationRunner, RslRlOnPolicyRunnerCfg, RunManifest, load_run, trust_package
-from mjlab_rl.encoding import decode, encode
-from mjlab_rl.manifest import encode_manifest
+from mjlab_rl.runs.encoding import decode, encode
+from mjlab_rl.runs.manifest import encode_manifest
 
 
 def manifest(**changes: Any) -> dict[str, Any]:

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from mjlab_core.errors import ConfigError, FileError, UnknownNameError
 from mjlab_rl import RslRlOnPolicyRunnerCfg, RunManifest, find_checkpoint, load_run
-from mjlab_rl.encoding import decode, encode
-from mjlab_rl.manifest import package_versions, write_manifest
-from mjlab_rl.references import resolve
-from mjlab_rl.run_directory import create_run_directory
+from mjlab_rl.runs.encoding import decode, encode
+from mjlab_rl.runs.manifest import package_versions, write_manifest
+from mjlab_rl.runs.references import resolve
+from mjlab_rl.runs.run_directory import create_run_directory
 from rl_point_env import PointEnvCfg, point_reward
 
 
@@ -248,8 +248,8 @@ def test_names_of_runs_and_experiments_are_single_folders(tmp_path: Path, name: 
 
 
 def test_a_function_that_has_moved_is_found_where_its_package_exports_it() -> None:
-  for former in ("mjlab_rl.former_module:find_checkpoint", "mjlab_rl.config:find_checkpoint"):
-    assert resolve(former, "env") is find_checkpoint
-  for hidden in ("mjlab_rl.former_module:os", "mjlab_rl.former_module:reference", "mjlab_rl.gone.gone:find_checkpoint"):
+  for former in ("former_module", "config", "gone.former_module"):
+    assert resolve(f"mjlab_rl.{former}:find_checkpoint", "env") is find_checkpoint
+  for hidden in ("mjlab_rl.former_module:os", "mjlab_rl.former_module:reference", "mjlab_gone.gone:find_checkpoint"):
     with pytest.raises(FileError, match=r"refused|has no|cannot be imported"):
       resolve(hidden, "env")

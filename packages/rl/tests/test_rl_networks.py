@@ -21,8 +21,8 @@ from mjlab_rl import (
   TaskCfg,
   train,
 )
-from mjlab_rl.networks import Gaussian, ImageModel
-from mjlab_rl.spatial_softmax import SpatialSoftmaxCNNModel
+from mjlab_rl.models.networks import Gaussian, ImageModel
+from mjlab_rl.models.spatial_softmax import SpatialSoftmaxCNNModel
 from rl_learners import QUIET, agent, assert_no_waits, assert_resumes_exactly, exported
 from rl_point_env import PointEnv, PointEnvCfg, PointSceneCfg
 from rsl_rl.modules import GaussianDistribution
@@ -30,7 +30,7 @@ from rsl_rl.utils import split_and_pad_trajectories
 from tensordict import TensorDict
 
 CNN = {"output_channels": (4, 4), "kernel_size": (3, 3), "stride": (2, 2), "padding": "zeros"}
-SOFTMAX = "mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel"
+SOFTMAX = "mjlab_rl.models.spatial_softmax:SpatialSoftmaxCNNModel"
 GROUPS = {"net": ["speed", "camera"]}
 each_kind = pytest.mark.parametrize("kind", [ImageModel, SpatialSoftmaxCNNModel])
 each_memory = pytest.mark.parametrize("rnn_type", [None, "gru", "lstm"])

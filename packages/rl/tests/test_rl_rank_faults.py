@@ -14,8 +14,9 @@ import mjlab_rl
 import pytest
 import rl_learners
 import torch
-from mjlab_rl import checkpoint, checkpoints
-from mjlab_rl.ranks import Patience, Ranks
+from mjlab_rl import checkpoints
+from mjlab_rl.processes.ranks import Patience, Ranks
+from mjlab_rl.runs import checkpoint
 from torch import distributed
 
 HERE = Path(__file__).parent

@@ -12,8 +12,8 @@ import torch
 from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
 from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper, TaskCfg, checkpoints, train
-from mjlab_rl.captured_ppo import CapturedPPO
-from mjlab_rl.ranks import Ranks
+from mjlab_rl.onpolicy.captured_ppo import CapturedPPO
+from mjlab_rl.processes.ranks import Ranks
 from rl_learners import agent, assert_learned_the_same, assert_same, pretend_two_processes
 from rl_point_env import PointEnv, PointEnvCfg
 

@@ -14,10 +14,10 @@ import pytest
 import torch
 from mjlab_core.errors import ConfigError, DivergedError, FileError
 from mjlab_rl import Console, MjlabOnPolicyRunner, RslRlVecEnvWrapper, TaskCfg, checkpoints, load_run, train
-from mjlab_rl.episode_statistics import WINDOW, EpisodeStatistics
-from mjlab_rl.run_directory import create_run_directory
-from mjlab_rl.scalar_log import IterationReport
-from mjlab_rl.stop_signals import StopSignals
+from mjlab_rl.processes.stop_signals import StopSignals
+from mjlab_rl.reports.episode_statistics import WINDOW, EpisodeStatistics
+from mjlab_rl.reports.scalar_log import IterationReport
+from mjlab_rl.runs.run_directory import create_run_directory
 from rl_learners import (
   QUIET,
   Terminal,
@@ -316,7 +316,7 @@ def test_a_signal_ends_the_iteration_and_saves(
   tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
   # Both signals come at the same time, however busy the machine is.
-  monkeypatch.setattr("mjlab_rl.stop_signals.time", SimpleNamespace(monotonic=lambda: 1.0))
+  monkeypatch.setattr("mjlab_rl.processes.stop_signals.time", SimpleNamespace(monotonic=lambda: 1.0))
   interrupted = runner(tmp_path, agent())
 
   def stop() -> None:
@@ -353,7 +353,7 @@ def test_a_second_signal_ends_the_process_at_once() -> None:
   code = """
 import os, signal
 from types import SimpleNamespace
-from mjlab_rl import stop_signals
+from mjlab_rl.processes import stop_signals
 now = [1.0]
 stop_signals.time = SimpleNamespace(monotonic=lambda: now[0])
 with stop_signals.StopSignals():
@@ -371,7 +371,7 @@ print("continues")
 def test_nohup_stays_in_effect() -> None:
   code = """
 import os, signal
-from mjlab_rl.stop_signals import StopSignals
+from mjlab_rl.processes.stop_signals import StopSignals
 with StopSignals() as stop:
   os.kill(os.getpid(), signal.SIGHUP)
 assert stop.received is None
@@ -538,7 +538,7 @@ def test_a_failure_in_a_step_or_an_update_saves_an_emergency_checkpoint_first(
 def test_a_checkpoint_half_written_by_a_killed_run_is_removed_at_the_next_start(tmp_path: Path) -> None:
   run = create_run_directory(tmp_path, "exp")
   code = (
-    "import os, sys; from mjlab_core.files import AtomicWrite\n"
+    "import os, sys; from mjlab_core.io.files import AtomicWrite\n"
     "AtomicWrite(sys.argv[1]).temporary.write_text('half'); os._exit(9)"
   )
   subprocess.run([sys.executable, "-c", code, run / "model_50.pt"], check=False)

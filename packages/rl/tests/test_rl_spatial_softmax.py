@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from mjlab_rl.spatial_softmax import SpatialSoftmax, SpatialSoftmaxCNNModel
+from mjlab_rl.models.spatial_softmax import SpatialSoftmax, SpatialSoftmaxCNNModel
 from tensordict import TensorDict
 
 CNN = {"output_channels": (16, 32), "kernel_size": (5, 3), "stride": (2, 2), "padding": "zeros"}

@@ -11,7 +11,7 @@ import pytest
 import torch
 from mjlab_core.errors import MjlabError
 from mjlab_scene import EntityCfg, InitialStateCfg, Scene, SceneCfg, VariantEntity, VariantEntityCfg
-from mjlab_scene.variants import assign
+from mjlab_scene.models.variants import assign
 from mjlab_sim import Simulation
 from mjlab_terrain import PlaneCfg
 from scene_models import MakeWorlds

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from mjlab_sensors import NATIVE_TYPES, BuiltinSensor, BuiltinSensorCfg, ObjRef
-from mjlab_sensors.builtin import SensorType
+from mjlab_sensors.native.builtin import SensorType
 from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
 from sensor_scenes import simulate, with_robot

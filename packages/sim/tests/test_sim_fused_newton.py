@@ -10,7 +10,7 @@ import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg
-from mjlab_sim.warp.fused_newton import FusedNewton, choose_solver
+from mjlab_sim.warp.solver.fused_newton import FusedNewton, choose_solver
 from sim_problem import ROWS, Problem
 from sim_world import MakeSim
 

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp import internals
-from mjlab_sim.warp.grouped_broadphase import GroupedBroadphase, grouped_broadphase
+from mjlab_sim.warp.collision.grouped_broadphase import GroupedBroadphase, grouped_broadphase
 
 WORLDS = 6
 KINDS = ("BOX", "SPHERE", "CAPSULE", "ELLIPSOID", "CYLINDER")

@@ -8,7 +8,7 @@ import pytest
 import torch
 from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp import engine as warp_engine
-from mjlab_sim.warp import height_fields
+from mjlab_sim.warp.collision import height_fields
 
 WORLDS, POINTS = 32, 41
 SHAPES = {

@@ -5,7 +5,7 @@ import mujoco_warp as mjw
 import numpy as np
 import pytest
 import warp as wp
-from mjlab_sim.warp.inverse_weights import InverseWeights
+from mjlab_sim.warp.constants.inverse_weights import InverseWeights
 
 FIELDS = ("dof_invweight0", "body_invweight0", "tendon_invweight0", "actuator_acc0")
 

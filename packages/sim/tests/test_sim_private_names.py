@@ -9,7 +9,8 @@ import pytest
 import torch
 from mjlab_core import MjlabError
 from mjlab_sim import Simulation, SimulationCfg, tensors
-from mjlab_sim.warp import internals, tile_solvers
+from mjlab_sim.warp import internals
+from mjlab_sim.warp.solver import tile_solvers
 
 HOMES = {"mujoco_warp": internals, "warp": tile_solvers, "torch": tensors}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 import warp as wp
-from mjlab_sim.warp.tile_solvers import made_elsewhere
+from mjlab_sim.warp.solver.tile_solvers import made_elsewhere
 from warp._src import build, context
 
 SIZE = wp.constant(4)

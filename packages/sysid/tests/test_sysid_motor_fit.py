@@ -13,7 +13,7 @@ import torch
 from mjlab_actuators import ActuatorSet, IdealPdActuatorCfg, LearnedMlpActuatorCfg
 from mjlab_core import MjlabError
 from mjlab_sysid import MotorFit, MotorFitCfg, MotorLaw, fit_motor, read_records
-from mjlab_sysid.motor_law import fit_motor_law
+from mjlab_sysid.motors.motor_law import fit_motor_law
 
 PERIOD = 0.005
 PENDULUM = f"""

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from mjlab_core import MjlabError
 from mjlab_sysid import IdentifyCfg, identify, parse_term
+from mjlab_sysid.data.windows import cut
 from mjlab_sysid.engines import EngineName
 from mjlab_sysid.problem import Problem
-from mjlab_sysid.windows import cut
 from sysid_robots import arm, changed, record, sines
 
 pytest.importorskip("mjlab_sim", reason="the extra 'warp' is not installed")

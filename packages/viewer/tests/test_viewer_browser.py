@@ -24,9 +24,9 @@ from mjlab_core import MjlabError
 from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, SnapshotTaker, ZeroPolicy
 from mjlab_viewer.browser import viser_internals
 from mjlab_viewer.browser.controls import _ratio
-from mjlab_viewer.browser.groups import geom_labels, site_labels
-from mjlab_viewer.browser.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from mjlab_viewer.browser.viser_internals import LoopEvent
+from mjlab_viewer.browser.world.groups import geom_labels, site_labels
+from mjlab_viewer.browser.world.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from mjviser import conversions
 from playwright.sync_api import Browser, Page
 from viewer_env import GROUND, BoxEnv

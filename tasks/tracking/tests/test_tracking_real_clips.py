@@ -10,10 +10,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from mjlab_motions.formats import read_motion
 from mjlab_motions.kinematics import Kinematics, derived_arrays
 from mjlab_motions.motion import Motion
-from mjlab_motions.statement import Statement
+from mjlab_motions.reading.formats import read_motion
+from mjlab_motions.reading.statement import Statement
 from mjlab_motions.timeline import resample
 from mjlab_robots import g1_spec
 

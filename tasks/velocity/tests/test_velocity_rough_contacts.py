@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import warp as wp
 from mjlab_scene import Scene
-from mjlab_sim.warp.grouped_broadphase import grouped_broadphase
+from mjlab_sim.warp.collision.grouped_broadphase import grouped_broadphase
 from mjlab_sim.warp.internals import nxn_broadphase
 from velocity_facts import TASKS
 

@@ -4,17 +4,17 @@ from mjlab_actuators.actuator import Actuator, ActuatorCmd, ActuatorGroup, Colum
 from mjlab_actuators.actuator_cfg import ActuatorCfg, PerTarget
 from mjlab_actuators.actuator_parameter import ActuatorDelay, ActuatorParameter, ParameterName
 from mjlab_actuators.actuator_set import ActuatorSet
-from mjlab_actuators.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
-from mjlab_actuators.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
-from mjlab_actuators.ideal_pd import IdealPd, IdealPdActuatorCfg
-from mjlab_actuators.learned_mlp import LearnedMlp, LearnedMlpActuatorCfg
-from mjlab_actuators.motor_design import (
+from mjlab_actuators.models.dc_motor import DcMotor, DcMotorActuatorCfg, clip_to_dc_motor
+from mjlab_actuators.models.envelope import UNITREE_ENVELOPES, EnvelopedPd, EnvelopedPdActuatorCfg, TorqueSpeedEnvelope
+from mjlab_actuators.models.ideal_pd import IdealPd, IdealPdActuatorCfg
+from mjlab_actuators.models.learned_mlp import LearnedMlp, LearnedMlpActuatorCfg
+from mjlab_actuators.models.motor_design import (
   PdGains,
   gains_from_frequency,
   reflected_inertia,
   reflected_inertia_of_stages,
 )
-from mjlab_actuators.native import (
+from mjlab_actuators.models.native import (
   NativeMotorActuatorCfg,
   NativePd,
   NativePdActuatorCfg,
@@ -22,9 +22,9 @@ from mjlab_actuators.native import (
   NativeVelocityActuatorCfg,
   PassThrough,
 )
-from mjlab_actuators.native_dc_motor import NativeDcMotorActuatorCfg
-from mjlab_actuators.native_general import NativeGeneralActuatorCfg
-from mjlab_actuators.native_muscle import NativeMuscleActuatorCfg
+from mjlab_actuators.models.native_dc_motor import NativeDcMotorActuatorCfg
+from mjlab_actuators.models.native_general import NativeGeneralActuatorCfg
+from mjlab_actuators.models.native_muscle import NativeMuscleActuatorCfg
 from mjlab_actuators.transmission import SiteGear, Target, Transmission, targets_of
 from mjlab_actuators.xml import XmlActuatorCfg, command_fields_of
 

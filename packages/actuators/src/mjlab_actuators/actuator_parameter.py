@@ -10,7 +10,7 @@ from mjlab_core import MjlabError, ModelFields, check_name, match_names, where_
 
 from mjlab_actuators.actuator import Actuator, CommandField
 from mjlab_actuators.actuator_set import ActuatorSet
-from mjlab_actuators.native import PassThrough
+from mjlab_actuators.models.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission
 from mjlab_actuators.xml import servo_target
 

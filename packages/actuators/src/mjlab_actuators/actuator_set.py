@@ -12,7 +12,7 @@ from mjlab_core import MjlabError, Stateful, StatefulDict, UnknownNameError, as_
 
 from mjlab_actuators.actuator import COMMAND_FIELDS, Actuator, ActuatorCmd, ActuatorGroup, Column
 from mjlab_actuators.actuator_cfg import ActuatorCfg
-from mjlab_actuators.native import PassThrough
+from mjlab_actuators.models.native import PassThrough
 from mjlab_actuators.transmission import Target, Transmission, targets_of, targets_of_actuators
 
 

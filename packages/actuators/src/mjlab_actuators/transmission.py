@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import mujoco
 from mjlab_core import MjlabError
-from mjlab_core.model_fields import element_names
+from mjlab_core.mujoco.model_fields import element_names
 
 Transmission = Literal["joint", "tendon", "site"]
 """Kind of target: a hinge or slide, a tendon, along which the force acts, or a site, at which a wrench acts."""

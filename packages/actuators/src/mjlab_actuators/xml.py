@@ -8,8 +8,8 @@ from mjlab_core import MjlabError
 
 from mjlab_actuators.actuator import CommandField
 from mjlab_actuators.actuator_cfg import ActuatorCfg, CtrlInput
-from mjlab_actuators.native import PassThrough
-from mjlab_actuators.native_dc_motor import INPUTS
+from mjlab_actuators.models.native import PassThrough
+from mjlab_actuators.models.native_dc_motor import INPUTS
 
 _VOLTAGE = int(mujoco.mjtCtrlInput.mjINPUT_VOLTAGE)
 _CONTROLLER_INPUTS: tuple[tuple[CommandField, int], ...] = (*INPUTS.items(), ("effort_target", _VOLTAGE))

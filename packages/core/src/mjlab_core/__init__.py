@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     field_problems,
     require,
   )
-  from mjlab_core.contacts import Contacts, host_contacts
-  from mjlab_core.drawing import DebugDraw
   from mjlab_core.errors import (
     ConfigError,
     DivergedError,
@@ -43,9 +41,11 @@ if TYPE_CHECKING:
     UnknownNameError,
     UsageError,
   )
-  from mjlab_core.files import AtomicWrite, printable, reading, remove_leftovers, safe_name
   from mjlab_core.indexing import Index, as_index, as_slice, fill_, rows_of_worlds, select, where_
-  from mjlab_core.model_fields import ModelFields
+  from mjlab_core.io.files import AtomicWrite, printable, reading, remove_leftovers, safe_name
+  from mjlab_core.mujoco.contacts import Contacts, host_contacts
+  from mjlab_core.mujoco.drawing import DebugDraw
+  from mjlab_core.mujoco.model_fields import ModelFields
   from mjlab_core.names import (
     check_name,
     match_names,
@@ -186,12 +186,12 @@ __getattr__, __dir__ = lazy_exports(
       "Ascending Bounds Count Finite Items Limits NonNegative NonNegativeRange Positive PositiveCount Range Share "
       "check_fields check_value field_problem field_problems require"
     ),
-    ".contacts": "Contacts host_contacts",
-    ".drawing": "DebugDraw",
+    ".mujoco.contacts": "Contacts host_contacts",
+    ".mujoco.drawing": "DebugDraw",
     ".errors": "ConfigError DivergedError FileError MjlabError RenderingError UnknownNameError UsageError",
-    ".files": "AtomicWrite printable reading remove_leftovers safe_name",
+    ".io.files": "AtomicWrite printable reading remove_leftovers safe_name",
     ".indexing": "Index as_index as_slice fill_ rows_of_worlds select where_",
-    ".model_fields": "ModelFields",
+    ".mujoco.model_fields": "ModelFields",
     ".names": "check_name match_names match_values match_values_full nearest unknown",
     ".rotations": (
       "combine_frames heading subtract_frames cross euler_xyz_from_quat "

@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _verify(arguments: argparse.Namespace) -> int:
   from mjlab_deploy.bundle import open_bundle
-  from mjlab_deploy.verification import verify
+  from mjlab_deploy.simulation.verification import verify
 
   with open_bundle(arguments.bundle) as bundle:
     report = verify(bundle)
@@ -79,8 +79,8 @@ def _seconds(text: str) -> float:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-  from mjlab_deploy.run_log import plot_joints, write_log
-  from mjlab_deploy.simulated_run import SimulatedRun
+  from mjlab_deploy.robot.run_log import plot_joints, write_log
+  from mjlab_deploy.simulation.simulated_run import SimulatedRun
 
   with _opened(arguments) as bundle:
     run = SimulatedRun(bundle, latency=arguments.latency, pushes=arguments.pushes, command=arguments.command)
@@ -104,6 +104,6 @@ def _opened(arguments: argparse.Namespace) -> "AbstractContextManager[Bundle]":
     return open_bundle(arguments.bundle)
   if arguments.model is None:
     raise DeployError(f"{arguments.bundle} is a network without a robot; name its MJCF file with --model")
-  from mjlab_deploy.adoption import adopted
+  from mjlab_deploy.formats.adoption import adopted
 
   return adopted(Path(arguments.bundle), Path(arguments.model), arguments.rate)

@@ -8,8 +8,8 @@ import numpy as np
 from mjlab_deploy.bundle import Bundle
 from mjlab_deploy.description import ACTION, EPISODE_START, LAST_ACTION
 from mjlab_deploy.errors import DeployError, check_known, reading
-from mjlab_deploy.network_graph import NetworkGraph
-from mjlab_deploy.onnx_graph import OnnxGraph
+from mjlab_deploy.formats.network_graph import NetworkGraph
+from mjlab_deploy.formats.onnx_graph import OnnxGraph
 
 
 @dataclass(frozen=True)

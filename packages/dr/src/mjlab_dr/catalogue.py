@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 from typing import Any
 
-from mjlab_core.model_fields import SOURCES, followers
+from mjlab_core.mujoco.model_fields import SOURCES, followers
 
 from mjlab_dr.fields import Field
 

@@ -7,7 +7,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Literal
 
 import mujoco
-from mjlab_core import model_fields
+from mjlab_core.mujoco import model_fields
 
 Kind = Literal[
   "option",

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import MjlabError, PositiveCount, check_name, check_value, draw_seed, make_generator
-from mjlab_core.model_fields import followers
+from mjlab_core.mujoco.model_fields import followers
 from mjlab_core.tables import table
 from torch import Tensor
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import torch
 from mjlab_managers import ManagerBase
-from mjlab_managers.binding import Term, call_terms
-from mjlab_managers.watch import PlainTensors, Watch
+from mjlab_managers.terms.binding import Term, call_terms
+from mjlab_managers.terms.watch import PlainTensors, Watch
 from mjlab_sim import Simulation
 
 _log = logging.getLogger("mjlab")

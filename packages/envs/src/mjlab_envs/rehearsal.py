@@ -7,7 +7,7 @@ from typing import Any, cast
 
 from mjlab_core import ConfigError, DebugDraw
 from mjlab_managers import ManagerBase
-from mjlab_managers.binding import place_of
+from mjlab_managers.terms.binding import place_of
 from mjlab_sim import Simulation
 
 

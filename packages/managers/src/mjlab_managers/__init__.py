@@ -5,15 +5,15 @@ fixed memory, and read nothing from the device. A whole step can therefore be re
 """
 
 from mjlab_managers.action_manager import ActionManager, ActionTerm, ActionTermCfg
-from mjlab_managers.camera_noise import CameraNoiseCfg
 from mjlab_managers.command_manager import CommandManager, CommandTerm, CommandTermCfg
 from mjlab_managers.curriculum_manager import CurriculumManager, CurriculumTermCfg
-from mjlab_managers.deployment import ActionTargets, Reading, TermSource, sourced
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.event_manager import EventManager, EventMode, EventTermCfg
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.metrics_manager import MetricsManager, MetricsTermCfg
-from mjlab_managers.noise import (
+from mjlab_managers.observations.camera_noise import CameraNoiseCfg
+from mjlab_managers.observations.deployment import ActionTargets, Reading, TermSource, sourced
+from mjlab_managers.observations.noise import (
   ConstantNoiseCfg,
   GaussianNoiseCfg,
   NoiseCfg,
@@ -22,14 +22,14 @@ from mjlab_managers.noise import (
   NoiseModelWithAdditiveBiasCfg,
   UniformNoiseCfg,
 )
-from mjlab_managers.observation_cfg import ObservationGroupCfg, ObservationTermCfg
-from mjlab_managers.observation_manager import ObservationManager
-from mjlab_managers.observation_processing import TermLayout
+from mjlab_managers.observations.observation_cfg import ObservationGroupCfg, ObservationTermCfg
+from mjlab_managers.observations.observation_manager import ObservationManager
+from mjlab_managers.observations.observation_processing import TermLayout
 from mjlab_managers.recorder_manager import RecorderManager, RecorderTerm, RecorderTermCfg
 from mjlab_managers.reward_manager import RewardManager, RewardTermCfg
-from mjlab_managers.scene_entity import SceneEntityCfg
-from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.termination_manager import TerminationManager, TerminationTermCfg
+from mjlab_managers.terms.scene_entity import SceneEntityCfg
+from mjlab_managers.terms.term import ManagerTermBase, ManagerTermBaseCfg
 
 __all__ = [
   "ActionManager",

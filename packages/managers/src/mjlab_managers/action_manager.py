@@ -12,10 +12,10 @@ import torch
 from mjlab_core import Config, fill_
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import call_named, named
-from mjlab_managers.deployment import ActionTargets
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.term import ManagerTermBase
+from mjlab_managers.observations.deployment import ActionTargets
+from mjlab_managers.terms.binding import call_named, named
+from mjlab_managers.terms.term import ManagerTermBase
 from mjlab_managers.vector_manager import nan_if_zero
 
 

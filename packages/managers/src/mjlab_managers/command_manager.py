@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from mjlab_core import Config, NonNegativeRange, call_where, fill_, uniform, where_
 
-from mjlab_managers.binding import call_named, placed
-from mjlab_managers.deployment import Reading, TermSource
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.term import ManagerTermBase
+from mjlab_managers.observations.deployment import Reading, TermSource
+from mjlab_managers.terms.binding import call_named, placed
+from mjlab_managers.terms.term import ManagerTermBase
 from mjlab_managers.vector_manager import LogBuffer
 
 # Timers are float64, and due this early [s]: rounding of repeated subtraction must not delay one by a step.

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from mjlab_core import MjlabError
 
-from mjlab_managers.binding import Term, described
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.terms.binding import Term, described
+from mjlab_managers.terms.term import ManagerTermBaseCfg
 
 
 @dataclass

@@ -10,9 +10,9 @@ from typing import Any, Literal, get_args
 import torch
 from mjlab_core import Count, NonNegativeRange, call_where, where_
 
-from mjlab_managers.binding import Term, attribute_of
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.terms.binding import Term, attribute_of
+from mjlab_managers.terms.term import ManagerTermBaseCfg
 
 EventMode = Literal["startup", "reset", "interval", "step"]
 

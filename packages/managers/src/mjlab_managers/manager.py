@@ -14,10 +14,10 @@ from mjlab_core.config import lock
 from mjlab_core.errors import as_consequence, is_consequence
 from mjlab_core.tables import table
 
-from mjlab_managers.binding import Term, call_named, call_terms, cfg_problems, described, placed
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
-from mjlab_managers.watch import only_declared
+from mjlab_managers.terms.binding import Term, call_named, call_terms, cfg_problems, described, placed
+from mjlab_managers.terms.term import ManagerTermBase, ManagerTermBaseCfg
+from mjlab_managers.terms.watch import only_declared
 
 CfgT = TypeVar("CfgT")
 

@@ -8,8 +8,8 @@ from typing import Literal
 import torch
 from mjlab_core import fill_, where_
 
-from mjlab_managers.binding import call_terms
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.terms.binding import call_terms
+from mjlab_managers.terms.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
 
 Reduction = Literal["mean", "sum", "last", "max"]

@@ -10,9 +10,9 @@ from typing import Any
 
 import torch
 
-from mjlab_managers.binding import Term, call_named, placed
 from mjlab_managers.manager import ManagerBase
-from mjlab_managers.term import ManagerTermBase, ManagerTermBaseCfg
+from mjlab_managers.terms.binding import Term, call_named, placed
+from mjlab_managers.terms.term import ManagerTermBase, ManagerTermBaseCfg
 
 
 @dataclass

@@ -11,7 +11,7 @@ import torch
 from mjlab_core import Finite, check_value, fill_
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.terms.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
 
 

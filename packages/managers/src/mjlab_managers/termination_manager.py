@@ -6,7 +6,7 @@ from dataclasses import KW_ONLY, dataclass
 
 import torch
 
-from mjlab_managers.term import ManagerTermBaseCfg
+from mjlab_managers.terms.term import ManagerTermBaseCfg
 from mjlab_managers.vector_manager import VectorManager
 
 

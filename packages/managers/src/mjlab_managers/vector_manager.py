@@ -7,8 +7,8 @@ from typing import ClassVar
 
 import torch
 
-from mjlab_managers.binding import Term
 from mjlab_managers.manager import CfgT, ManagerBase
+from mjlab_managers.terms.binding import Term
 
 
 class LogBuffer:

@@ -13,7 +13,7 @@ from typing import Any
 
 from mjlab_core import ConfigError, UnknownNameError, require, unknown
 from mjlab_rl import TaskCfg
-from mjlab_rl.references import TASK_GROUP, distribution_name, trust_package
+from mjlab_rl.runs.references import TASK_GROUP, distribution_name, trust_package
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,16 +7,16 @@ from mjlab_core.lazy import lazy_exports
 if TYPE_CHECKING:
   from mjlab_motions.clips import ClipEntry, find_clips, shipped_clips
   from mjlab_motions.editing import concatenate, crop, mirror, smooth, to_ground
-  from mjlab_motions.formats import read_motion
   from mjlab_motions.ghost import Ghost
   from mjlab_motions.kinematics import Kinematics, derived_arrays
   from mjlab_motions.library import MotionLibrary, load_library
   from mjlab_motions.motion import Motion
   from mjlab_motions.motion_file import load_motion, save_motion
   from mjlab_motions.quality import Finding, QualityReport, check_quality, plot_quality
+  from mjlab_motions.reading.formats import read_motion
+  from mjlab_motions.reading.statement import JointMap, Statement
   from mjlab_motions.recording import MotionRecorder
   from mjlab_motions.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
-  from mjlab_motions.statement import JointMap, Statement
   from mjlab_motions.timeline import angular_velocity, derivative, resample
 
 __all__ = [
@@ -58,7 +58,7 @@ __getattr__, __dir__ = lazy_exports(
   {
     ".clips": "ClipEntry find_clips shipped_clips",
     ".editing": "concatenate crop mirror smooth to_ground",
-    ".formats": "read_motion",
+    ".reading.formats": "read_motion",
     ".ghost": "Ghost",
     ".kinematics": "Kinematics derived_arrays",
     ".library": "MotionLibrary load_library",
@@ -67,7 +67,7 @@ __getattr__, __dir__ = lazy_exports(
     ".quality": "Finding QualityReport check_quality plot_quality",
     ".recording": "MotionRecorder",
     ".sampling": "AdaptiveSamplingCfg MotionSampler SamplingMode",
-    ".statement": "JointMap Statement",
+    ".reading.statement": "JointMap Statement",
     ".timeline": "angular_velocity derivative resample",
   },
 )

@@ -8,7 +8,7 @@ from typing import Annotated, TypeVar
 
 import msgspec
 from mjlab_core.errors import FileError, UnknownNameError
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from mjlab_core.names import check_name, unknown
 
 T = TypeVar("T")

@@ -8,9 +8,9 @@ import torch
 from mjlab_core.names import check_name
 
 from mjlab_motions.clips import find_clips
-from mjlab_motions.formats import read_motion
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion
+from mjlab_motions.reading.formats import read_motion
 from mjlab_motions.timeline import resample
 
 

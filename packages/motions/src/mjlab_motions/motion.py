@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import torch
 from mjlab_core.constraints import Items, Limits, check_fields
 from mjlab_core.errors import MjlabError
-from mjlab_core.files import printable
+from mjlab_core.io.files import printable
 
 MIN_RATE, MAX_RATE = 1.0, 10_000.0
 """Limits of the frames per second of a clip [Hz]."""

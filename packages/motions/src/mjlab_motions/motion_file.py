@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import torch
 from mjlab_core.errors import FileError
-from mjlab_core.files import AtomicWrite, reading
-from mjlab_core.npz import Npz
+from mjlab_core.io.files import AtomicWrite, reading
+from mjlab_core.io.npz import Npz
 
 from mjlab_motions.clips import MAX_BYTES
 from mjlab_motions.motion import Motion

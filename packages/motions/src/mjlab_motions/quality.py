@@ -6,7 +6,7 @@ import os
 from typing import Literal
 
 import torch
-from mjlab_core.files import AtomicWrite
+from mjlab_core.io.files import AtomicWrite
 from mjlab_core.tables import table
 
 from mjlab_motions.kinematics import Kinematics

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
-  from mjlab_rl.bundle_policy import BundlePolicy
+  from mjlab_rl.bundles.bundle_policy import BundlePolicy
+  from mjlab_rl.bundles.onnx_policy import OnnxPolicy
   from mjlab_rl.config import (
     RslRlBaseRunnerCfg,
     RslRlDistillationAlgorithmCfg,
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     TaskCfg,
     control_agent,
   )
-  from mjlab_rl.console import Console
-  from mjlab_rl.distillation import MjlabDistillationRunner
   from mjlab_rl.env_protocol import RlEnv
   from mjlab_rl.evaluation import (
     Episodes,
@@ -35,16 +34,17 @@ if TYPE_CHECKING:
     summarize,
     wilson,
   )
-  from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
   from mjlab_rl.offpolicy.config import OffPolicyModelCfg, OffPolicyRunnerCfg, SacCfg
   from mjlab_rl.offpolicy.presets import with_agent
   from mjlab_rl.offpolicy.runner import MjlabOffPolicyRunner
-  from mjlab_rl.onnx_policy import OnnxPolicy
+  from mjlab_rl.onpolicy.distillation import MjlabDistillationRunner
   from mjlab_rl.policies import CheckpointPolicy
-  from mjlab_rl.references import trust_package
-  from mjlab_rl.run_directory import checkpoints, create_run_directory, find_checkpoint
+  from mjlab_rl.reports.console import Console
+  from mjlab_rl.reports.scalar_log import IterationReport
   from mjlab_rl.runner import MjlabOnPolicyRunner
-  from mjlab_rl.scalar_log import IterationReport
+  from mjlab_rl.runs.manifest import PolicyRecord, RunManifest, load_run
+  from mjlab_rl.runs.references import trust_package
+  from mjlab_rl.runs.run_directory import checkpoints, create_run_directory, find_checkpoint
   from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
   from mjlab_rl.training import TrainingResult, train
   from mjlab_rl.vec_env import RslRlVecEnvWrapper
@@ -105,28 +105,28 @@ os.environ.setdefault("GIT_PYTHON_REFRESH", "quiet")
 __getattr__, __dir__ = lazy_exports(
   __name__,
   {
-    ".bundle_policy": "BundlePolicy",
+    ".bundles.bundle_policy": "BundlePolicy",
     ".config": (
       "RslRlBaseRunnerCfg RslRlDistillationAlgorithmCfg RslRlDistillationRunnerCfg RslRlModelCfg "
       "RslRlOnPolicyRunnerCfg RslRlPpoAlgorithmCfg TaskCfg control_agent"
     ),
-    ".console": "Console",
-    ".distillation": "MjlabDistillationRunner",
+    ".reports.console": "Console",
+    ".onpolicy.distillation": "MjlabDistillationRunner",
     ".env_protocol": "RlEnv",
     ".evaluation": (
       "Episodes Evaluation Evaluator FinitePolicy Interval Policy Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize wilson"
     ),
-    ".manifest": "PolicyRecord RunManifest load_run",
+    ".runs.manifest": "PolicyRecord RunManifest load_run",
     ".offpolicy.config": "OffPolicyModelCfg OffPolicyRunnerCfg SacCfg",
     ".offpolicy.presets": "with_agent",
     ".offpolicy.runner": "MjlabOffPolicyRunner",
-    ".onnx_policy": "OnnxPolicy",
+    ".bundles.onnx_policy": "OnnxPolicy",
     ".policies": "CheckpointPolicy",
-    ".references": "trust_package",
-    ".run_directory": "checkpoints create_run_directory find_checkpoint",
+    ".runs.references": "trust_package",
+    ".runs.run_directory": "checkpoints create_run_directory find_checkpoint",
     ".runner": "MjlabOnPolicyRunner",
-    ".scalar_log": "IterationReport",
+    ".reports.scalar_log": "IterationReport",
     ".trained_policy": "TrainedPolicy read_trained_policy",
     ".training": "TrainingResult train",
     ".vec_env": "RslRlVecEnvWrapper",

@@ -10,7 +10,7 @@ from mjlab_core.config import Config
 from mjlab_core.constraints import Count, Finite, Limits, Positive, PositiveCount, Share, field_problems, named_problem
 from mjlab_core.errors import ConfigError
 
-from mjlab_rl.network_entries import Activation, encoder_problems
+from mjlab_rl.models.network_entries import Activation, encoder_problems
 
 if TYPE_CHECKING:
   from mjlab_rl.evaluation import Evaluator
@@ -19,9 +19,9 @@ Optimizer = Literal["adam", "adamw", "sgd", "rmsprop"]
 EnvCfgT = TypeVar("EnvCfgT")
 # Classes that take the place of rsl-rl's.
 _CLASSES = {
-  "CNNModel": "mjlab_rl.networks:ImageModel",
-  "GaussianDistribution": "mjlab_rl.networks:Gaussian",
-  "PPO": "mjlab_rl.captured_ppo:CapturedPPO",
+  "CNNModel": "mjlab_rl.models.networks:ImageModel",
+  "GaussianDistribution": "mjlab_rl.models.networks:Gaussian",
+  "PPO": "mjlab_rl.onpolicy.captured_ppo:CapturedPPO",
 }
 _WITHOUT_IMAGES = ("MLPModel", "RNNModel")
 
@@ -354,7 +354,11 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
     config = super().to_rsl_rl()
     if self.teacher is not None and self.num_teachers > 1:
       network = config["teacher"]
-      config["teacher"] = {"class_name": "mjlab_rl.teachers:Teachers", "network": network, "count": self.num_teachers}
+      config["teacher"] = {
+        "class_name": "mjlab_rl.onpolicy.teachers:Teachers",
+        "network": network,
+        "count": self.num_teachers,
+      }
     return config
 
   def for_inference(self) -> Self:

@@ -8,9 +8,9 @@ import torch
 from tensordict import TensorDict
 
 from mjlab_rl.config import RslRlBaseRunnerCfg
-from mjlab_rl.console import Console
-from mjlab_rl.distillation import runner_class
 from mjlab_rl.env_protocol import RlEnv
+from mjlab_rl.onpolicy.distillation import runner_class
+from mjlab_rl.reports.console import Console
 from mjlab_rl.runner import MjlabOnPolicyRunner
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 

@@ -12,24 +12,24 @@ from typing import Any, ClassVar
 import torch
 from mjlab_core import printable
 from mjlab_core.errors import ConfigError, DivergedError, FileError
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from rsl_rl.models import MLPModel
 from rsl_rl.modules import RNN
 from rsl_rl.runners import OnPolicyRunner
 from rsl_rl.utils import resolve_callable
 from tensordict import TensorDict
 
-from mjlab_rl import checkpoint
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlOnPolicyRunnerCfg
-from mjlab_rl.console import Console
-from mjlab_rl.critic_warmup import actor_held, set_learning_rate
-from mjlab_rl.episode_statistics import EpisodeStatistics
-from mjlab_rl.networks import largest_weights
-from mjlab_rl.process_state import ProcessState, pack, set_for_now, unpack
-from mjlab_rl.rank_averages import Figures, RankAverages
-from mjlab_rl.ranks import Patience, Ranks
-from mjlab_rl.scalar_log import IterationReport, RunLogs
-from mjlab_rl.stop_signals import StopSignals
+from mjlab_rl.models.networks import largest_weights
+from mjlab_rl.onpolicy.critic_warmup import actor_held, set_learning_rate
+from mjlab_rl.processes.rank_averages import Figures, RankAverages
+from mjlab_rl.processes.ranks import Patience, Ranks
+from mjlab_rl.processes.stop_signals import StopSignals
+from mjlab_rl.reports.console import Console
+from mjlab_rl.reports.episode_statistics import EpisodeStatistics
+from mjlab_rl.reports.scalar_log import IterationReport, RunLogs
+from mjlab_rl.runs import checkpoint
+from mjlab_rl.runs.process_state import ProcessState, pack, set_for_now, unpack
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 
 # Tags of figures that are checked and not logged.

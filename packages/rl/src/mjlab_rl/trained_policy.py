@@ -9,10 +9,10 @@ from typing import Any
 from mjlab_core import require, unknown
 from mjlab_core.errors import ConfigError, FileError
 
-from mjlab_rl.checkpoint import Shapes, check_finite, read_checkpoint, refuse, shapes_seen
 from mjlab_rl.config import RslRlBaseRunnerCfg, RslRlDistillationRunnerCfg, RslRlModelCfg
-from mjlab_rl.encoding import Json, encode
-from mjlab_rl.manifest import PolicyRecord, RunManifest, load_run
+from mjlab_rl.runs.checkpoint import Shapes, check_finite, read_checkpoint, refuse, shapes_seen
+from mjlab_rl.runs.encoding import Json, encode
+from mjlab_rl.runs.manifest import PolicyRecord, RunManifest, load_run
 
 # Fields of observations that may differ from the training.
 _CORRUPTION = ("noise", "corrupt", "nan_policy")

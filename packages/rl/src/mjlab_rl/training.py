@@ -12,15 +12,15 @@ from typing import Any
 from mjlab_core import seed_everything
 from mjlab_core.errors import ConfigError
 
+from mjlab_rl.bundles.newest_bundle import NewestBundle
 from mjlab_rl.config import RslRlDistillationRunnerCfg, TaskCfg
-from mjlab_rl.console import Console
-from mjlab_rl.distillation import MjlabDistillationRunner, runner_class
 from mjlab_rl.env_protocol import RlEnv
-from mjlab_rl.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
-from mjlab_rl.newest_bundle import NewestBundle
-from mjlab_rl.ranks import Ranks
-from mjlab_rl.run_directory import create_run_directory
+from mjlab_rl.onpolicy.distillation import MjlabDistillationRunner, runner_class
+from mjlab_rl.processes.ranks import Ranks
+from mjlab_rl.reports.console import Console
 from mjlab_rl.runner import MjlabOnPolicyRunner
+from mjlab_rl.runs.manifest import RunManifest, encode_manifest, git_state, package_versions, write_manifest
+from mjlab_rl.runs.run_directory import create_run_directory
 from mjlab_rl.trained_policy import TrainedPolicy, read_trained_policy
 from mjlab_rl.vec_env import RslRlVecEnvWrapper
 

@@ -30,10 +30,10 @@ from mjlab_core.errors import as_consequence
 from mjlab_sensors import BuiltinSensorCfg, Sensor, SensorCfg
 from mjlab_terrain import Terrain, grid_origins
 
-from mjlab_scene.edits import SpecEdit, apply_edits
-from mjlab_scene.entity import Entity, EntityCfg
+from mjlab_scene.entities.entity import Entity, EntityCfg
+from mjlab_scene.entities.initial_state import add_init_state
 from mjlab_scene.export import write_spec, zip_spec
-from mjlab_scene.initial_state import add_init_state
+from mjlab_scene.models.edits import SpecEdit, apply_edits
 from mjlab_scene.scene_spec import merge_options, new_scene_spec
 from mjlab_scene.terrain_levels import TerrainLevels
 

@@ -20,8 +20,8 @@ from mjlab_core import (
 )
 from mjlab_sim import DataType
 
-from mjlab_sensors._elements import names_of
 from mjlab_sensors.frames import FrameSet
+from mjlab_sensors.native._elements import names_of
 from mjlab_sensors.pinhole import physical_intrinsics, resolution_of, resolution_problems
 from mjlab_sensors.sensor import GeomGroups, Sensor, SensorCfg, group_mask
 

@@ -12,7 +12,7 @@ import mujoco
 import torch
 from mjlab_core import Count, DebugDraw, Items, MjlabError, PositiveCount, fill_
 
-from mjlab_sensors._elements import ElementMatch, add_sensor
+from mjlab_sensors.native._elements import ElementMatch, add_sensor
 from mjlab_sensors.sensor import Sensor, SensorCfg, sensordata_columns
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import torch
 
-from mjlab_sensors._elements import ElementMatch
+from mjlab_sensors.native._elements import ElementMatch
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation

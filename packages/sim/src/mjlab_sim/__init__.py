@@ -1,6 +1,6 @@
 """Many MuJoCo worlds as PyTorch tensors: MuJoCo Warp on a GPU, MuJoCo's batch engine on a CPU."""
 
-from mjlab_core.model_fields import PER_WORLD
+from mjlab_core.mujoco.model_fields import PER_WORLD
 
 from mjlab_sim.config import NanGuardCfg, SimulationCfg
 from mjlab_sim.nan.dump import DivergedWorld, NanDump, Replay

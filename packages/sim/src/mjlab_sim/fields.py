@@ -5,7 +5,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from mjlab_core import check_name
-from mjlab_core.model_fields import FOLLOWERS, PER_WORLD, ROUTE_FOLLOWERS
+from mjlab_core.mujoco.model_fields import FOLLOWERS, PER_WORLD, ROUTE_FOLLOWERS
 
 KINEMATIC_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat", "eq_active", "plastic")
 """State fields from which position- and velocity-derived quantities follow, constraints and passive forces included."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import torch
 from mjlab_core import MjlabError, unknown
-from mjlab_core.model_fields import PER_WORLD
+from mjlab_core.mujoco.model_fields import PER_WORLD
 
 from mjlab_sim.engine import Engine
 from mjlab_sim.fields import KINEMATIC_STATE, STATE

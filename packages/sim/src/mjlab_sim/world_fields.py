@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import mujoco
 import torch
-from mjlab_core.model_fields import PER_WORLD, SOURCES
+from mjlab_core.mujoco.model_fields import PER_WORLD, SOURCES
 from mjlab_core.state import refuse_state
 
 from mjlab_sim.fields import closure, owner_of

@@ -17,13 +17,13 @@ from mjlab_core.errors import MjlabError
 from mjlab_core.names import match_names, match_values_full
 from mjlab_core.tables import table
 
+from mjlab_sysid.data.records import Record
+from mjlab_sysid.data.windows import cut
 from mjlab_sysid.identified import Information
 from mjlab_sysid.identify import Progress
 from mjlab_sysid.parameters import FitTerm, Parameter, Range
 from mjlab_sysid.problem import IdentifyCfg, Problem
-from mjlab_sysid.records import Record
 from mjlab_sysid.robot import Robot
-from mjlab_sysid.windows import cut
 from mjlab_sysid.worlds import Worlds
 
 _LOWEST = 0.2

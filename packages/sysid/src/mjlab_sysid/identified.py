@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from mjlab_core.files import AtomicWrite
+from mjlab_core.io.files import AtomicWrite
 from mjlab_core.tables import table
 from mjlab_dr import FIELDS, FieldRandomizer, randomize_field
 

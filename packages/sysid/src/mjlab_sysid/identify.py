@@ -14,13 +14,13 @@ import numpy as np
 from mjlab_core.lazy import from_extra
 from mujoco.minimize import Verbosity, least_squares
 
+from mjlab_sysid.data.records import Record
+from mjlab_sysid.data.windows import cut
 from mjlab_sysid.identified import Estimate, Identified
 from mjlab_sysid.parameters import FitTerm, Range
 from mjlab_sysid.problem import PRIOR, IdentifyCfg, Problem
 from mjlab_sysid.progress import FitState, load_state, save_state
-from mjlab_sysid.records import Record
 from mjlab_sysid.robot import Robot
-from mjlab_sysid.windows import cut
 
 _PASSES = 2
 _Residual = Callable[[np.ndarray], np.ndarray]

@@ -14,13 +14,13 @@ import numpy as np
 import torch
 from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields
 
+from mjlab_sysid.data.records import BODY_SIGNALS, UNITS, elements
+from mjlab_sysid.data.windows import Windows, difference
 from mjlab_sysid.engines import EngineName
 from mjlab_sysid.identified import Information, Trace
 from mjlab_sysid.parameters import FitTerm, Range
 from mjlab_sysid.progress import fingerprint
-from mjlab_sysid.records import BODY_SIGNALS, UNITS, elements
 from mjlab_sysid.robot import Robot
-from mjlab_sysid.windows import Windows, difference
 from mjlab_sysid.worlds import Worlds
 
 

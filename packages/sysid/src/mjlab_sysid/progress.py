@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 from mjlab_core.errors import FileError
-from mjlab_core.files import AtomicWrite, reading
+from mjlab_core.io.files import AtomicWrite, reading
 
 _FORMAT, _MAX_BYTES = "mjlab sysid progress 1", 2**24
 

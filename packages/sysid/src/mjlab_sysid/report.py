@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mjlab_core.files import AtomicWrite
+from mjlab_core.io.files import AtomicWrite
 
 from mjlab_sysid.identified import Identified, Trace
-from mjlab_sysid.motor_fit import require_matplotlib
+from mjlab_sysid.motors.motor_fit import require_matplotlib
 
 _MAX_ROWS = 1000
 _STYLE = "body{font:14px sans-serif;max-width:1100px;margin:2em auto}pre{background:#f4f6f8;padding:1em;overflow:auto}"

@@ -104,7 +104,7 @@ def vision_agent(experiment_name: str) -> RslRlOnPolicyRunnerCfg:
   cfg = agent(experiment_name, ITERATIONS)
   cfg.actor = replace(
     cfg.actor,
-    class_name="mjlab_rl.spatial_softmax:SpatialSoftmaxCNNModel",
+    class_name="mjlab_rl.models.spatial_softmax:SpatialSoftmaxCNNModel",
     cnn_cfg=copy.deepcopy(ENCODER),
     hidden_dims=HIDDEN,
   )

@@ -1,6 +1,6 @@
 """Library of terms for any task: actions, observations, rewards, terminations, events, curricula and metrics."""
 
-from mjlab_envs.mdp.actions import (
+from mjlab_envs.mdp.action_terms.actions import (
   AffineAction,
   AffineActionCfg,
   BinaryJointPositionAction,
@@ -17,10 +17,10 @@ from mjlab_envs.mdp.actions import (
   TendonLengthActionCfg,
   TendonVelocityActionCfg,
 )
+from mjlab_envs.mdp.action_terms.differential_ik import DifferentialIKAction, DifferentialIKActionCfg
+from mjlab_envs.mdp.action_terms.driven_targets import DrivenTargets, DrivenTargetsCfg
 from mjlab_envs.mdp.contacts import contact_count, illegal_contact
 from mjlab_envs.mdp.curricula import Stage, reward_curriculum, termination_curriculum
-from mjlab_envs.mdp.differential_ik import DifferentialIKAction, DifferentialIKActionCfg
-from mjlab_envs.mdp.driven_targets import DrivenTargets, DrivenTargetsCfg
 from mjlab_envs.mdp.events import (
   push_by_setting_velocity,
   reset_joints_by_offset,

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import mjlab_motions
 import mjlab_viewer
 from mjlab_core import UsageError, safe_name
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from mjlab_core.names import check_name
 from mjlab_motions import shipped_clips
 from mjlab_motions.clips import read_json, read_text
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file
-from mjlab.cli._progress import progress_bar
-from mjlab.cli._watching import browse_replay
+from mjlab.cli.shared._command_line import CommandLine, PageArguments, as_usage, output_file
+from mjlab.cli.shared._progress import progress_bar
+from mjlab.cli.shared._watching import browse_replay
 
 if TYPE_CHECKING:
   import mujoco
@@ -88,7 +88,7 @@ examples:
 )
 def run(wanted: Arguments, clips: list[str]) -> int:
   """Read clips (.csv, .npz, or the name of a clip that ships), edit them, report on them, and write them."""
-  from mjlab.cli._clip_preview import clip_replay, film_clip, preview_model
+  from mjlab.cli.shared._clip_preview import clip_replay, film_clip, preview_model
 
   spec = robot_spec(wanted.robot)
   robot = mjlab_motions.Kinematics(spec.compile())

@@ -7,7 +7,7 @@ from mjlab_core import UsageError
 from mjlab_core.names import check_name
 
 from mjlab.cli import _play
-from mjlab.cli._command_line import CommandLine, take
+from mjlab.cli.shared._command_line import CommandLine, take
 from mjlab.demos import shipped
 
 
@@ -46,6 +46,6 @@ def run(words: list[str]) -> int:
   if not any(word.partition("=")[0] in ("--viewer", "--video") for word in flags):
     flags = ["--viewer", "browser", *flags]
   with as_file(policies[name]) as directory:
-    from mjlab_rl.bundle_policy import task_of_bundle
+    from mjlab_rl.bundles.bundle_policy import task_of_bundle
 
     return _play.run([task_of_bundle(directory), "--checkpoint", str(directory), *flags])

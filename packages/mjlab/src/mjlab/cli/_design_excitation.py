@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
-from mjlab.cli._progress import stop_on_ctrl_c
 from mjlab.cli._sysid import RobotArguments, print_iteration, robot_of, task_ranges
+from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine, output_file
+from mjlab.cli.shared._progress import stop_on_ctrl_c
 
 
 @dataclass(kw_only=True)

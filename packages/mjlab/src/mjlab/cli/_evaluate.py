@@ -8,10 +8,10 @@ from typing import Any
 import mjlab_core
 import mjlab_rl
 from mjlab_core import AtomicWrite, UsageError
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 
 from mjlab import environments
-from mjlab.cli._command_line import (
+from mjlab.cli.shared._command_line import (
   CommandLine,
   TaskArguments,
   TaskLine,
@@ -20,8 +20,8 @@ from mjlab.cli._command_line import (
   building,
   output_file,
 )
-from mjlab.cli._policies import PolicyArguments, find_policy
-from mjlab.cli._progress import progress_bar
+from mjlab.cli.shared._policies import PolicyArguments, find_policy
+from mjlab.cli.shared._progress import progress_bar
 
 
 @dataclass(kw_only=True)
@@ -144,7 +144,7 @@ def _folder(wanted: Arguments, source: Path | None) -> Path | None:
 
 
 def _write(folder: Path, evaluation: "mjlab_rl.Evaluation", about: dict[str, Any]) -> None:
-  from mjlab.cli._plots import plot_curves, plot_groups
+  from mjlab.cli.shared._plots import plot_curves, plot_groups
 
   (folder / "evaluation.txt").write_text(evaluation.table() + "\n", encoding="utf-8")
   plot_groups(evaluation, folder / "groups.png")

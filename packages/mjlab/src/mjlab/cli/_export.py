@@ -14,7 +14,7 @@ from mjlab_core.errors import RenderingError
 from mjlab_rl import find_checkpoint, load_run
 
 from mjlab import environments
-from mjlab.cli._command_line import (
+from mjlab.cli.shared._command_line import (
   CommandLine,
   CommonArguments,
   beside,
@@ -54,8 +54,8 @@ def run(wanted: Arguments, sources: list[str]) -> int:
   checkpoint = find_checkpoint(sources[0], log_root=Path(wanted.log_root), experiment="")
   folder = Path(wanted.output or beside(checkpoint, "bundle"))
   output_folder(folder, "bundle.json", force=wanted.force or wanted.output is None)
-  from mjlab_rl.policy_bundle import BundleWriter, record, without_noise, write_zip
-  from mjlab_rl.reference_policy import write_for_others
+  from mjlab_rl.bundles.policy_bundle import BundleWriter, record, without_noise, write_zip
+  from mjlab_rl.bundles.reference_policy import write_for_others
 
   parts, name = _parts(checkpoint, wanted.task)
   with building():

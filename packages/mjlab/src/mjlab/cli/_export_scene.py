@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mjlab_core import safe_name
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, building, output_folder
+from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine, building, output_folder
 
 
 @dataclass(kw_only=True)

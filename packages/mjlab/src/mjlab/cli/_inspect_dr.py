@@ -6,7 +6,7 @@ from typing import Annotated
 from mjlab_core.constraints import Limits
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, built_env, output_file
+from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine, built_env, output_file
 
 
 @dataclass(kw_only=True)
@@ -48,7 +48,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
     print(f"{line.name}: {env.num_envs} environments on {device}, one draw each")
     print(report_text(reports, inertia))
     if picture is not None:
-      from mjlab.cli._plots import plot_inspection
+      from mjlab.cli.shared._plots import plot_inspection
 
       plot_inspection(reports, inertia, line.name, picture)
       print(f"wrote {picture}")

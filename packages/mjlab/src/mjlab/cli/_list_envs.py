@@ -4,7 +4,7 @@ import sys
 
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine, CommonArguments
+from mjlab.cli.shared._command_line import CommandLine, CommonArguments
 from mjlab.registry import task_entries
 
 

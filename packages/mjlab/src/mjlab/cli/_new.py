@@ -8,7 +8,7 @@ from typing import Literal
 
 from mjlab_core import UsageError, printable, unknown
 
-from mjlab.cli._command_line import CommandLine, CommonArguments, building
+from mjlab.cli.shared._command_line import CommandLine, CommonArguments, building
 from mjlab.new.package import check_new_package, package_name, write_package
 from mjlab.new.task import task_files, task_id
 from mjlab.registry import list_tasks

@@ -12,9 +12,9 @@ from mjlab_core.constraints import Positive, PositiveCount
 from mjlab_rl import checkpoints
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, PageArguments, TaskArguments, TaskLine, output_file
-from mjlab.cli._policies import FoundPolicy, PolicyArguments, find_policy
-from mjlab.cli._watching import browse, until_interrupted
+from mjlab.cli.shared._command_line import CommandLine, PageArguments, TaskArguments, TaskLine, output_file
+from mjlab.cli.shared._policies import FoundPolicy, PolicyArguments, find_policy
+from mjlab.cli.shared._watching import browse, until_interrupted
 
 _NUM_ENVS = {"browser": 8, "native": 1, "none": 1}
 _MOST_TILES = 16

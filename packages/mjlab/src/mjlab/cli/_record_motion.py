@@ -9,8 +9,8 @@ from mjlab_core.constraints import NonNegative, Positive
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine, output_file
-from mjlab.cli._policies import PolicyArguments, find_policy
+from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine, output_file
+from mjlab.cli.shared._policies import PolicyArguments, find_policy
 
 
 @dataclass(kw_only=True)

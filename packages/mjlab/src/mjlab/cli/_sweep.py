@@ -11,11 +11,11 @@ from typing import Any, Literal
 import msgspec
 from mjlab_core import AtomicWrite, UsageError, printable
 from mjlab_core.constraints import NonNegative, PositiveCount
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from mjlab_core.tables import table
 
-from mjlab.cli._command_line import CommandLine, TaskArguments, TaskLine
-from mjlab.cli._sweep_space import Range, Space, Sweep, Trial, check, read_space
+from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine
+from mjlab.cli.shared._sweep_space import Range, Space, Sweep, Trial, check, read_space
 
 _CONFIGS = ("--agent.", "--env.")
 
@@ -68,7 +68,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
 
   This needs Ray, the extra sweep.
   """
-  from mjlab.cli._flags import grouped
+  from mjlab.cli.shared._flags import grouped
 
   name = line.name
   sweeps = Path(wanted.log_root).resolve() / "sweeps"
@@ -98,7 +98,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
   check(sweep)
   if find_spec("ray") is None:
     raise UsageError("sweep needs Ray, the extra 'sweep' of mjlab: uv sync --all-packages --extra sweep")
-  from mjlab.cli._sweep_trials import run_trials
+  from mjlab.cli.shared._sweep_trials import run_trials
 
   if wanted.resume is None:
     with AtomicWrite(folder / "sweep.json") as temporary:
@@ -112,7 +112,7 @@ def run(wanted: Arguments, line: TaskLine) -> int:
 
 def report(trials: list[Trial], space: Space, folder: Path) -> str:
   """Write the results as trials.csv and trials.png; return them as a table, the best first."""
-  from mjlab.cli._plots import plot_trials
+  from mjlab.cli.shared._plots import plot_trials
 
   best = sorted(trials, key=lambda trial: -math.inf if math.isnan(trial.reward) else trial.reward, reverse=True)
   head, names = ["trial", "reward", "iterations", "state"], list(space.values)

@@ -10,8 +10,8 @@ from mjlab_core.errors import ConfigError
 from mjlab_core.names import check_name
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
-from mjlab.cli._progress import stop_on_ctrl_c
+from mjlab.cli.shared._command_line import CommandLine, CommonArguments, output_file
+from mjlab.cli.shared._progress import stop_on_ctrl_c
 from mjlab.registry import load_task
 
 if TYPE_CHECKING:

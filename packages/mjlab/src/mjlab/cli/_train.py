@@ -12,14 +12,14 @@ from mjlab_core import UnknownNameError, UsageError, nearest
 from mjlab_core.constraints import PositiveCount
 from mjlab_core.errors import DivergedError
 from mjlab_rl import Console, RslRlDistillationRunnerCfg, find_checkpoint, with_agent
-from mjlab_rl.manifest import package_versions
+from mjlab_rl.runs.manifest import package_versions
 from mjlab_viewer import check_address
 
 from mjlab import environments
-from mjlab.cli._command_line import CommandLine, Loaded, TaskArguments, TaskLine, as_usage, building, take
-from mjlab.cli._launch import launch, restarted_from
-from mjlab.cli._policies import manifest_of
-from mjlab.cli._watching import watch
+from mjlab.cli.shared._command_line import CommandLine, Loaded, TaskArguments, TaskLine, as_usage, building, take
+from mjlab.cli.shared._launch import launch, restarted_from
+from mjlab.cli.shared._policies import manifest_of
+from mjlab.cli.shared._watching import watch
 from mjlab.registry import list_tasks, load_task, task_file
 
 
@@ -95,7 +95,7 @@ def run(words: list[str]) -> int:
   """Train; return the exit code."""
   if not words or not words[0].startswith("--tyro-"):
     return _train(words)
-  from mjlab.cli._flags import print_completion
+  from mjlab.cli.shared._flags import print_completion
 
   tasks = {name: load_task(name) for name in list_tasks()}
   configs = {name: Arguments(agent=task.agent, env=task.env) for name, task in tasks.items()}
@@ -118,7 +118,7 @@ train --tyro-print-completion SHELL prints the completion for bash, zsh, tcsh or
 )
 def _train(wanted: Arguments, line: TaskLine) -> int:
   """Train a policy."""
-  from mjlab_rl.ranks import Ranks
+  from mjlab_rl.processes.ranks import Ranks
 
   _check_combinations(wanted)
   if wanted.gpus is not None or wanted.hosts is not None or wanted.dry_run:

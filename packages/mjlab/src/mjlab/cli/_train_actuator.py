@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Literal
 
 from mjlab_core import UsageError
 
-from mjlab.cli._command_line import CommandLine, CommonArguments, output_file
-from mjlab.cli._progress import progress_bar, stop_on_ctrl_c
 from mjlab.cli._sysid import describe_records
+from mjlab.cli.shared._command_line import CommandLine, CommonArguments, output_file
+from mjlab.cli.shared._progress import progress_bar, stop_on_ctrl_c
 
 if TYPE_CHECKING:
   from mjlab_sysid import FitProgress, MotorFit

@@ -11,7 +11,7 @@ from mjlab_core.constraints import Items, PositiveCount
 from mjlab_core.names import check_name
 from mjlab_viewer import check_address
 
-from mjlab.cli._command_line import CommandLine, PageArguments, as_usage, output_file, take
+from mjlab.cli.shared._command_line import CommandLine, PageArguments, as_usage, output_file, take
 
 if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 import mjlab_viewer
 from mjlab_core.constraints import Positive
 
-from mjlab.cli._command_line import CommandLine, PageArguments, output_file
-from mjlab.cli._watching import browse_replay
+from mjlab.cli.shared._command_line import CommandLine, PageArguments, output_file
+from mjlab.cli.shared._watching import browse_replay
 
 if TYPE_CHECKING:
   from mjlab_sim import NanDump

@@ -9,7 +9,7 @@ from typing import Literal
 
 import mujoco
 from mjlab_core import MjlabError, UsageError, printable
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from mjlab_core.names import match_values
 from mjlab_scene import EntityCfg
 

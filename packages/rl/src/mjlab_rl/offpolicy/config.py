@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from mjlab_core.constraints import Finite, Limits, NonNegative, Positive, PositiveCount, Share
 
 from mjlab_rl.config import LearnerPart, RslRlBaseRunnerCfg, RslRlModelCfg
-from mjlab_rl.network_entries import Activation
+from mjlab_rl.models.network_entries import Activation
 
 
 @dataclass(kw_only=True)

@@ -13,7 +13,7 @@ from rsl_rl.utils import resolve_nn_activation
 from torch import distributed, nn
 from torch.nn import functional
 
-from mjlab_rl.networks import merge_moments
+from mjlab_rl.models.networks import merge_moments
 
 Layers = Literal["layer_norm", "unit"]
 

@@ -9,14 +9,14 @@ import msgspec
 import torch
 from mjlab_core import printable
 from mjlab_core.errors import FileError
-from mjlab_core.files import reading
+from mjlab_core.io.files import reading
 from msgspec import Meta, Struct
 from tensordict import TensorDict
 
-from mjlab_rl import checkpoint
 from mjlab_rl.offpolicy.algorithm import OffPolicyAlgorithm
 from mjlab_rl.offpolicy.config import OffPolicyRunnerCfg
 from mjlab_rl.runner import MjlabOnPolicyRunner
+from mjlab_rl.runs import checkpoint
 
 REPLAY_NAME = "replay.pt"
 _MAX_BYTES = 128 * 2**30

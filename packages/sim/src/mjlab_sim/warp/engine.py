@@ -19,16 +19,16 @@ from mjlab_sim.tensors import TorchArray, version_of, versions
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes
+from mjlab_sim.warp.collision.grouped_broadphase import grouped_broadphase
+from mjlab_sim.warp.collision.height_fields import height_field_collisions
+from mjlab_sim.warp.constants.inverse_weights import InverseWeights
 from mjlab_sim.warp.contacts import WarpContacts
-from mjlab_sim.warp.fused_newton import choose_solver
-from mjlab_sim.warp.grouped_broadphase import grouped_broadphase
-from mjlab_sim.warp.height_fields import height_field_collisions
-from mjlab_sim.warp.inverse_weights import InverseWeights
 from mjlab_sim.warp.kernel_loading import load_kernels
 from mjlab_sim.warp.launching import Launcher, Stage, check_capture
 from mjlab_sim.warp.overflow import Overflow
 from mjlab_sim.warp.rays import RayScene, WarpRayCaster
 from mjlab_sim.warp.rendering import Renderers
+from mjlab_sim.warp.solver.fused_newton import choose_solver
 
 wp.config.log_level = wp.LOG_WARNING
 

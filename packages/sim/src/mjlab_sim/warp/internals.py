@@ -16,7 +16,7 @@ from typing import Any
 
 import mujoco_warp as mjw
 
-from mjlab_sim.warp.tile_solvers import replaced
+from mjlab_sim.warp.solver.tile_solvers import replaced
 
 TESTED = "4.0"
 PRIVATE = {

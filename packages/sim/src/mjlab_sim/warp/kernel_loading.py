@@ -14,7 +14,7 @@ from typing import Any
 
 import warp as wp
 
-from mjlab_sim.warp.tile_solvers import made_elsewhere, replaced
+from mjlab_sim.warp.solver.tile_solvers import made_elsewhere, replaced
 
 _Variants = dict[Any, dict[int | None, None]]
 

@@ -15,8 +15,8 @@ from mjlab_core import MjlabError
 
 from mjlab_viewer.browser.inputs import Inputs
 from mjlab_viewer.browser.recorder import Recorder
-from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.time_line import TimeLine
+from mjlab_viewer.browser.world.scene import BrowserScene, Selection
 from mjlab_viewer.env import ViewedEnv, floating_dofs, push
 from mjlab_viewer.playback import SPEEDS, CheckpointList, Playback
 from mjlab_viewer.replay import Replay

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mjlab_core import MjlabError
 
-from mjlab_viewer.browser.scene import BrowserScene, Selection
+from mjlab_viewer.browser.world.scene import BrowserScene, Selection
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
 from mjlab_viewer.pictures.offscreen import PictureCfg

@@ -14,13 +14,13 @@ import viser
 
 from mjlab_viewer.browser.address import check_address, ignore_failed_handshakes
 from mjlab_viewer.browser.controls import PlaybackControls, WorldControls
-from mjlab_viewer.browser.groups import GroupControls
 from mjlab_viewer.browser.recorder import Recorder
-from mjlab_viewer.browser.scene import BrowserScene, Selection
 from mjlab_viewer.browser.signal_plot import SignalPlot
 from mjlab_viewer.browser.time_line import HISTORY
 from mjlab_viewer.browser.training_panel import TrainingPanel
 from mjlab_viewer.browser.viser_internals import read_icons_once, repair_wakeup
+from mjlab_viewer.browser.world.groups import GroupControls
+from mjlab_viewer.browser.world.scene import BrowserScene, Selection
 from mjlab_viewer.camera import CameraCfg
 from mjlab_viewer.env import ViewedEnv
 from mjlab_viewer.playback import CheckpointList, Playback, one_line

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from mjlab_core.files import AtomicWrite
+from mjlab_core.io.files import AtomicWrite
 
 from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
 from mjlab_viewer.snapshot import Snapshot

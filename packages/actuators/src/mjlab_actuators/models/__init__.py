@@ -1,0 +1,1 @@
+"""Actuator models: MuJoCo's own, PD, DC motor and learned."""

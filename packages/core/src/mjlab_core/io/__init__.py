@@ -1,0 +1,1 @@
+"""Files: atomic writes, guarded reads and arrays."""

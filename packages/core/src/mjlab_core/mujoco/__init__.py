@@ -1,0 +1,1 @@
+"""MuJoCo's fields, contacts and drawings, as members share them."""

@@ -1,0 +1,1 @@
+"""Policies on a robot: interface, loop, safety, remote control and log."""

@@ -1,0 +1,1 @@
+"""Policies in MuJoCo C: scene, readings, cameras, closed loop and verification."""

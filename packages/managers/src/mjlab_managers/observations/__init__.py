@@ -1,0 +1,1 @@
+"""Observations: terms, noise, memory and their description for deployment."""

@@ -1,0 +1,1 @@
+"""Terms of all managers: protocol, parameters and the entities that they name."""

@@ -1,0 +1,1 @@
+"""Parts of several commands, and helpers of one."""

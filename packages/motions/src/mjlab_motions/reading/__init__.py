@@ -1,0 +1,1 @@
+"""Reading of clips in the formats of the field."""

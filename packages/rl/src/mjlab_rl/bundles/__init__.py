@@ -1,0 +1,1 @@
+"""Export of policies as bundles and ONNX files, and policies that act from them."""

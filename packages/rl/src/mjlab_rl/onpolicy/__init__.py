@@ -1,0 +1,1 @@
+"""Extensions of rsl-rl's learners: recorded PPO, warm-up of the critic, distillation."""

@@ -1,0 +1,1 @@
+"""Console, logs and statistics of a training."""

@@ -1,0 +1,1 @@
+"""Files of a run: manifest, checkpoints, the names in them, and the state of a process."""

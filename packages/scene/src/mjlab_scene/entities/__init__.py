@@ -1,0 +1,1 @@
+"""Entity: spec, state, indexing, quantities and actuation."""

@@ -1,0 +1,1 @@
+"""Changes of models: edits, overlays and variants."""

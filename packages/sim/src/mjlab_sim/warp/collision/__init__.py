@@ -1,0 +1,1 @@
+"""Search for pairs of geoms, and contacts with height fields."""

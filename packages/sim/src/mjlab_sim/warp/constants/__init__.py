@@ -1,0 +1,1 @@
+"""Derived constants per world."""

@@ -1,0 +1,1 @@
+"""Fused Newton solver, and solvers of Warp's tiles."""

@@ -1,0 +1,1 @@
+"""Records of a robot: signals, files and windows."""

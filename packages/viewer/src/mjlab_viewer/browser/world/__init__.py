@@ -1,0 +1,1 @@
+"""Worlds on the page: scene, shapes, appearances and groups."""
