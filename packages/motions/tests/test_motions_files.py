@@ -130,13 +130,14 @@ def test_an_order_of_quaternions_that_cannot_be_proven_must_be_stated(tmp_path: 
   assert torch.equal(read_motion(path, robot(), Statement(rate=50.0, quaternion="xyzw")).root_quat, ahead)
 
 
-def test_the_rate_of_a_csv_must_be_stated(tmp_path: Path) -> None:
-  refused(written(wiggle(), tmp_path / "wiggle.csv"), "--rate")
-
-
-def test_a_rate_other_than_the_file_says_is_refused(tmp_path: Path) -> None:
-  path = npz(tmp_path / "seven.npz", **seven_keys(wiggle()))
-  refused(path, "the file says 50 Hz, --rate says 30", rate=30.0)
+def test_a_missing_rate_must_be_stated_and_a_stated_one_must_be_that_of_the_file(tmp_path: Path) -> None:
+  refused(written(wiggle(), tmp_path / "wiggle.csv"), "does not contain its rate; state it with --rate")
+  arrays = seven_keys(wiggle())
+  refused(npz(tmp_path / "seven.npz", **arrays), "the file says 50 Hz, --rate says 30", rate=30.0)
+  del arrays["fps"]
+  path = npz(tmp_path / "seven.npz", **arrays)
+  refused(path, "does not contain its rate; state it with --rate")
+  assert read_motion(path, robot(), Statement(rate=50.0)).rate == 50.0
 
 
 def test_a_wrong_number_of_columns_is_refused(tmp_path: Path) -> None:
@@ -228,14 +229,6 @@ def test_a_stated_order_is_never_ignored(tmp_path: Path) -> None:
   np.savez(tmp_path / "seven.npz", **arrays | {"body_quat_w": np.roll(arrays["body_quat_w"], -1, -1)})
   refused(tmp_path / "seven.npz", "no order of joints and bodies agrees")
   assert_same(read_motion(tmp_path / "seven.npz", robot(), Statement(quaternion="xyzw")), wiggle())
-
-
-def test_arrays_without_a_rate_need_a_stated_one(tmp_path: Path) -> None:
-  arrays = seven_keys(wiggle())
-  del arrays["fps"]
-  path = npz(tmp_path / "seven.npz", **arrays)
-  refused(path, "does not contain its rate; state it with --rate")
-  assert read_motion(path, robot(), Statement(rate=50.0)).rate == 50.0
 
 
 @pytest.mark.parametrize("bodies", ["depth first", "shuffled"])
