@@ -68,7 +68,7 @@ def test_a_misspelt_task_is_refused_before_anything_heavy_is_imported() -> None:
 
 def test_the_page_of_the_demo_opens_without_learner_compiler_or_warp() -> None:
   loaded = modules_after(
-    "from mjlab.cli import _watching, demo; _watching.until_interrupted = lambda run: 0\n"
+    "from mjlab.cli import demo\nfrom mjlab.cli.shared import _watching\n_watching.until_interrupted = lambda run: 0\n"
     "assert demo('--device cpu --num-envs 1 --port 8740'.split()) == 0"
   )
   assert {"torch", "viser", "mjlab_viewer.browser.viewer"} <= loaded

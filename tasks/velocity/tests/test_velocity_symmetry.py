@@ -7,6 +7,7 @@ import torch
 from mjlab_core.errors import ConfigError
 from mjlab_envs import ManagerBasedRlEnv
 from mjlab_rl import OffPolicyRunnerCfg
+from mjlab_rl.offpolicy.algorithm import action_bounds
 from mjlab_velocity import g1_flat, g1_flat_blind, g1_flat_env, g1_rough, g1_rough_blind, g1_rough_env, go1_flat_env
 from mjlab_velocity.symmetry import left_right, twin
 
@@ -104,3 +105,16 @@ def test_fastsac_of_the_g1_learns_from_mirror_images_and_three_rewards(task: Any
   assert agent.algorithm.symmetry is left_right
   assert agent.algorithm.n_step == 3
   assert agent.experiment_name.removesuffix("_fastsac") == task().agent.experiment_name
+
+
+def test_actions_of_fastsac_reach_the_farther_limits_of_joints() -> None:
+  agent = cast("OffPolicyRunnerCfg", g1_flat().agents["fastsac"])
+  with ManagerBasedRlEnv(quiet(g1_flat_env()), device="cpu") as env:
+    term: Any = env.action_manager.get_term("joint_pos")
+    bounds = action_bounds(env, env.action_manager.total_action_dim, agent.algorithm)[0]
+    joints = [env.sim.mj_model.joint(f"robot/{name}") for name in term.target_names]
+    ranges = torch.tensor([joint.range.tolist() for joint in joints])
+    default = env.scene["robot"].data.default_joint_pos[0, env.scene["robot"].find_joints(term.target_names)[0]]
+    farther = (ranges - default[:, None]).abs().amax(1)
+    assert all(joint.range[0] < joint.range[1] for joint in joints)
+    torch.testing.assert_close(bounds * term.scale[0], farther.to(bounds), atol=1e-5, rtol=1e-5, check_dtype=False)

@@ -40,6 +40,17 @@ class AffineAction(DrivenTargets):
   def action_dim(self) -> int:
     return len(self.target_names)
 
+  @property
+  def reach(self) -> torch.Tensor | None:
+    """Absolute raw action whose target is the farther limit of a joint, infinite without limits, (1, targets).
+
+    None unless the targets are joint positions. Off-policy learners bound their actions by it.
+    """
+    if (self.transmission, self.quantity) != ("joint", "position"):
+      return None
+    limits = self._entity.data.default_joint_pos_limits[:, self._q]
+    return (limits - self.offset[:1, :, None]).abs().amax(-1) / self.scale.abs()
+
   def affine(self, actions: torch.Tensor) -> torch.Tensor:
     """Return scale * action + offset of raw actions, (num_envs, targets)."""
     return torch.addcmul(self.offset, actions.to(self.scale.dtype), self.scale)
@@ -102,6 +113,11 @@ class RelativeJointPositionAction(_FollowingAction):
   """See `RelativeJointPositionActionCfg`."""
 
   cfg: "RelativeJointPositionActionCfg"
+
+  @property
+  def reach(self) -> None:
+    """None: the targets depend on the last ones."""
+    return None
 
   def next_targets(self, action: torch.Tensor, last: torch.Tensor, positions: Positions) -> torch.Tensor:
     base = last if self.cfg.relative_to == "target" else positions()
