@@ -21,11 +21,11 @@ from mjlab_core import (
 )
 
 from mjlab_scene.entities.actuation import Actuation, Quantity
-from mjlab_scene.entities.collision import CollisionCfg
 from mjlab_scene.entities.entity_data import EntityData
 from mjlab_scene.entities.entity_spec import EntitySpec
 from mjlab_scene.entities.indexing import ColumnView, EntityIndexing, Mask, Selection, fitting, index_entity
 from mjlab_scene.entities.initial_state import InitialStateCfg
+from mjlab_scene.models.collision import CollisionCfg
 from mjlab_scene.models.edits import SpecEdit
 from mjlab_scene.models.overlay import Overlay, read_overlay
 

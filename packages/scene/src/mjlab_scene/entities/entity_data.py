@@ -14,7 +14,7 @@ from mjlab_core import Index, Stateful, as_index, select
 from mjlab_scene.entities.actuation import Actuation
 from mjlab_scene.entities.indexing import EntityIndexing
 from mjlab_scene.entities.initial_state import InitialState
-from mjlab_scene.entities.quantities import FrameQuantities, QuantityCache, Root, cached_quantity, forwarded, rows
+from mjlab_scene.quantities import FrameQuantities, QuantityCache, Root, cached_quantity, forwarded, rows
 
 if TYPE_CHECKING:
   from mjlab_sim import Simulation

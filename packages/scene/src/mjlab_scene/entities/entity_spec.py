@@ -8,9 +8,9 @@ import mujoco
 from mjlab_actuators import ActuatorSet
 from mjlab_core import MjlabError, match_names
 
-from mjlab_scene.entities.collision import CollisionCfg, apply_collisions
 from mjlab_scene.entities.indexing import KINDS, find_elements
 from mjlab_scene.entities.initial_state import InitialStateCfg, read_initial_state
+from mjlab_scene.models.collision import CollisionCfg, apply_collisions
 from mjlab_scene.models.edits import SpecEdit, apply_edits
 
 FREE_JOINT = "floating_base_joint"

@@ -30,7 +30,7 @@ from mjlab_motions.kinematics import Kinematics, derived_arrays
 from mjlab_motions.library import load_library
 from mjlab_motions.motion import Motion
 from mjlab_motions.sampling import AdaptiveSamplingCfg, MotionSampler, SamplingMode
-from mjlab_scene.entities.quantities import QuantityCache, cached_quantity
+from mjlab_scene.quantities import QuantityCache, cached_quantity
 
 if TYPE_CHECKING:
   from mjlab_envs import ManagerBasedRlEnv
