@@ -1,1 +1,1 @@
-"""Entity: spec, state, indexing, quantities and actuation."""
+"""Entity: spec, state, indexing and actuation."""
