@@ -66,6 +66,27 @@ def test_a_changed_api_without_an_entry_is_refused_and_named(workspace: Path) ->
   assert public_api.check(terrain) == ""
 
 
+def test_the_public_api_has_what_classes_inherit_from_private_bases(tmp_path: Path) -> None:
+  package = tmp_path / "src/thing"
+  package.mkdir(parents=True)
+  (package / "__init__.py").write_text(
+    "from thing.gains import Gains\n\n__all__ = ['Gains', 'Config']\nclass Config:\n  a: int\n"
+  )
+  (package / "gains.py").write_text(
+    "from thing import Config\n"
+    "class _Base(Config):\n  stiffness: float\n  damping: float\n  def check(self): ...\n"
+    "class Gains(_Base):\n  damping: int = 1\n"
+  )
+  assert public_api.public_api(tmp_path).splitlines() == [
+    "thing.Config",
+    "thing.Config.a: int",
+    "thing.Gains(_Base)",
+    "thing.Gains.check(self)",
+    "thing.Gains.damping: int = 1",
+    "thing.Gains.stiffness: float",
+  ]
+
+
 @pytest.mark.parametrize(("must_raise", "expected"), [(False, ">=0.2,<0.4"), (True, ">=0.3,<0.4")])
 def test_a_minor_release_moves_version_changelog_and_dependents(
   workspace: Path, must_raise: bool, expected: str

@@ -8,7 +8,7 @@ import argparse
 import ast
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -24,15 +24,20 @@ def members(root: Path = ROOT) -> dict[str, Path]:
 def public_api(folder: Path) -> str:
   """Return the public API of a member: one line per name, with arguments, fields and methods.
 
-  Public are the names in `__all__` of the package, and of its subpackages that have one.
+  Public are the names in `__all__` of the package, and of its subpackages that have one. A class has the members of its
+  bases too, unless a base is public itself.
   """
-  (package,) = [path for path in (folder / "src").iterdir() if (path / "__init__.py").is_file()]
-  lines = []
-  for init in sorted(package.rglob("__init__.py")):
-    tree = _tree(init)
-    prefix = ".".join(init.parent.relative_to(folder / "src").parts)
-    for name in _exported(tree):
-      lines += [f"{prefix}.{line}" for line in _described(name, init, folder / "src")]
+  src = folder / "src"
+  (package,) = [path for path in src.iterdir() if (path / "__init__.py").is_file()]
+  exported = {init: _exported(_tree(init)) for init in sorted(package.rglob("__init__.py"))}
+  public = {name for names in exported.values() for name in names}
+  lines = set()
+  for init, names in exported.items():
+    prefix = ".".join(init.parent.relative_to(src).parts)
+    for name in names:
+      node, module = _definition(name, init, src)
+      described = [name] if node is None else _lines(node, name, module, src, public)
+      lines |= {f"{prefix}.{line}" for line in described}
   return "".join(f"{line}\n" for line in sorted(lines))
 
 
@@ -66,19 +71,17 @@ def _exported(tree: ast.Module) -> list[str]:
   return []
 
 
-def _described(name: str, module: Path, src: Path, depth: int = 0) -> Iterator[str]:
-  """Yield the lines of one name, from the module that defines it."""
+def _definition(name: str, module: Path, src: Path, depth: int = 0) -> tuple[Function | ast.ClassDef | None, Path]:
+  """Return the function or class that a name of a module is, and the module that defines it; None for other names."""
   for node in ast.walk(_tree(module)):
     if isinstance(node, Function | ast.ClassDef) and node.name == name:
-      yield from _lines(node, name)
-      return
+      return node, module
     if isinstance(node, ast.ImportFrom) and node.module and depth < 5:
       for alias in node.names:
         source = _module_path(node.module, src)
         if (alias.asname or alias.name) == name and source is not None:
-          yield from _described(alias.name, source, src, depth + 1)
-          return
-  yield name
+          return _definition(alias.name, source, src, depth + 1)
+  return None, module
 
 
 def _module_path(module: str, src: Path) -> Path | None:
@@ -86,17 +89,30 @@ def _module_path(module: str, src: Path) -> Path | None:
   return next((found for found in (path.with_suffix(".py"), path / "__init__.py") if found.is_file()), None)
 
 
-def _lines(node: Function | ast.ClassDef, name: str) -> Iterator[str]:
+def _lines(node: Function | ast.ClassDef, name: str, module: Path, src: Path, public: Collection[str]) -> Iterator[str]:
   if not isinstance(node, ast.ClassDef):
     yield f"{name}({ast.unparse(node.args)})"
     return
   bases = ", ".join(ast.unparse(base) for base in node.bases)
   yield f"{name}({bases})" if bases else name
+  for member, lines in _members(node, module, src, public).items():
+    yield from (f"{name}.{member}{line}" for line in lines)
+
+
+def _members(node: ast.ClassDef, module: Path, src: Path, public: Collection[str]) -> dict[str, list[str]]:
+  """Return arguments of methods and types of fields by name, also those of bases that are not public."""
+  found: dict[str, list[str]] = {}
+  for base in reversed(node.bases):
+    definition, place = _definition(ast.unparse(base).partition("[")[0], module, src)
+    if isinstance(definition, ast.ClassDef) and definition.name not in public:
+      found |= _members(definition, place, src, public)
+  own: dict[str, list[str]] = {}
   for item in node.body:
     if isinstance(item, Function) and (not item.name.startswith("_") or item.name in ("__init__", "__call__")):
-      yield f"{name}.{item.name}({ast.unparse(item.args)})"
-    elif isinstance(item, ast.AnnAssign) and not ast.unparse(item.target).startswith("_"):
-      yield f"{name}.{ast.unparse(item)}"
+      own.setdefault(item.name, []).append(f"({ast.unparse(item.args)})")
+    elif isinstance(item, ast.AnnAssign) and not (field := ast.unparse(item.target)).startswith("_"):
+      own[field] = [ast.unparse(item).removeprefix(field)]
+  return found | own
 
 
 def main() -> int:
