@@ -66,7 +66,7 @@ def test_a_changed_api_without_an_entry_is_refused_and_named(workspace: Path) ->
   assert public_api.check(terrain) == ""
 
 
-def test_the_public_api_has_what_classes_inherit_from_private_bases(tmp_path: Path) -> None:
+def test_the_public_api_has_inherited_and_assigned_members(tmp_path: Path) -> None:
   package = tmp_path / "src/thing"
   package.mkdir(parents=True)
   (package / "__init__.py").write_text(
@@ -75,7 +75,7 @@ def test_the_public_api_has_what_classes_inherit_from_private_bases(tmp_path: Pa
   (package / "gains.py").write_text(
     "from thing import Config\n"
     "class _Base(Config):\n  stiffness: float\n  damping: float\n  def check(self): ...\n"
-    "class Gains(_Base):\n  damping: int = 1\n"
+    "class Gains(_Base):\n  damping: int = 1\n  find = len\n"
   )
   assert public_api.public_api(tmp_path).splitlines() == [
     "thing.Config",
@@ -83,6 +83,7 @@ def test_the_public_api_has_what_classes_inherit_from_private_bases(tmp_path: Pa
     "thing.Gains(_Base)",
     "thing.Gains.check(self)",
     "thing.Gains.damping: int = 1",
+    "thing.Gains.find = len",
     "thing.Gains.stiffness: float",
   ]
 

@@ -110,8 +110,10 @@ def _members(node: ast.ClassDef, module: Path, src: Path, public: Collection[str
   for item in node.body:
     if isinstance(item, Function) and (not item.name.startswith("_") or item.name in ("__init__", "__call__")):
       own.setdefault(item.name, []).append(f"({ast.unparse(item.args)})")
-    elif isinstance(item, ast.AnnAssign) and not (field := ast.unparse(item.target)).startswith("_"):
-      own[field] = [ast.unparse(item).removeprefix(field)]
+    elif isinstance(item, ast.AnnAssign | ast.Assign):
+      field = ast.unparse(item.target if isinstance(item, ast.AnnAssign) else item.targets[0])
+      if not field.startswith("_"):
+        own[field] = [ast.unparse(item).removeprefix(field)]
   return found | own
 
 
