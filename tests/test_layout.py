@@ -82,8 +82,10 @@ def test_member_has_a_changelog_with_its_version(member: Path) -> None:
   assert text.startswith(f"# Changelog of {project['name']}\n")
   headings = re.findall(r"^## \[(.+?)\](?: - \d{4}-\d\d-\d\d)?$", text, re.MULTILINE)
   assert headings[:2] == ["Unreleased", project["version"]]
-  kinds = {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
-  assert set(re.findall(r"^### (.+)$", text, re.MULTILINE)) <= kinds
+  for version in text.split("\n## ")[1:]:
+    found = re.findall(r"^### (.+)$", version, re.MULTILINE)
+    assert set(found) <= {"Added", "Changed", "Deprecated", "Removed", "Fixed", "Security"}
+    assert len(found) == len(set(found)), f"{version.partition(']')[0]}] has one kind of change twice: {found}"
 
 
 @each_member
