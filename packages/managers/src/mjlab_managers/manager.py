@@ -15,7 +15,7 @@ from mjlab_core.errors import as_consequence, is_consequence
 from mjlab_core.tables import table
 
 from mjlab_managers.env import ManagerEnv
-from mjlab_managers.terms.binding import Term, call_named, call_terms, cfg_problems, described, placed
+from mjlab_managers.terms.binding import Term, call_named, call_terms, cfg_problems, described, mask_problem, placed
 from mjlab_managers.terms.term import ManagerTermBase, ManagerTermBaseCfg
 from mjlab_managers.terms.watch import only_declared
 
@@ -137,7 +137,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def scalar(self, name: str, parameter: str, /) -> torch.Tensor:
     """Return a scalar parameter of a term, float64, 0-d, that curricula may write inside the step.
 
-    The config of the term does not show such writes.
+    Neither the config of the term nor a checkpoint contains such writes. A curriculum keeps the value as its own state,
+    or derives it from the step counter, and writes it in every step.
 
     Raises:
       UnknownNameError: no such term.
@@ -174,14 +175,14 @@ class ManagerBase(Stateful, Generic[CfgT]):
   def remember(self) -> Callable[[], None]:
     """Return a function that restores the present parameters, live fields of configs, and state."""
     state = self.state_dict()
-    given = {name: dict(term.given) for name, term in self._terms.items() if isinstance(term, Term)}
+    terms = [(term, dict(term.given), term.scalar_values()) for term in self._terms.values() if isinstance(term, Term)]
     fields = [(cfg, {name: getattr(cfg, name) for name in live}) for cfg, live in self._live]
 
     def put_back() -> None:
-      for name, params in given.items():
-        now = self._terms[name].given
-        if changed := {key: value for key, value in params.items() if now[key] is not value}:
-          self.set_params(name, **changed)
+      for term, params, scalars in terms:
+        if changed := {key: value for key, value in params.items() if term.given[key] is not value}:
+          self.set_params(term.name, **changed)
+        term.write_scalars(scalars)
       for cfg, values in fields:
         for name, value in values.items():
           setattr(cfg, name, value)
@@ -238,6 +239,8 @@ class ManagerBase(Stateful, Generic[CfgT]):
       else:
         term = cfg.build(self.env)
         term.name = name
+        if problem := mask_problem(term):
+          raise MjlabError(problem)
     self._adopt(term)
     self._refuse(term)
     self._terms[name] = term
@@ -248,9 +251,10 @@ class ManagerBase(Stateful, Generic[CfgT]):
 
   def _locked(self, name: str, cfg: Any, live: frozenset[str]) -> Any:
     """Return a read-only copy of a config."""
-    way = (
-      f"change its parameters by set_params('{name}', name=value), or assign: {', '.join(sorted(live)) or 'nothing'}"
-    )
+    ways = [f"assign {', '.join(sorted(live))}"] if live else []
+    if isinstance(cfg, ManagerTermBaseCfg):
+      ways.append(f"change its parameters by set_params('{name}', name=value)")
+    way = ", or ".join(ways or ["write into a tensor of the term"])
     cfg = lock(cfg, f"{self.label}: '{name}' is built, and its config is read-only; {way}.", live)
     self._live.append((cfg, live))
     return cfg

@@ -49,6 +49,14 @@ class RecorderManager(ManagerBase[RecorderTermCfg]):
   cfg_type = RecorderTermCfg
   term_base = RecorderTerm
 
+  @classmethod
+  def _cfg_problems(cls, cfg: Any) -> list[str]:
+    hooks = ("pre_reset", "post_reset", "post_step")
+    former = [hook for hook in hooks if hasattr(getattr(cfg, "func", None), f"record_{hook}")]
+    return super()._cfg_problems(cfg) + [
+      f"method 'record_{hook}' of mjlab 1.x is called '{hook}' here." for hook in former
+    ]
+
   def _rehearse(self, term: Term) -> None:
     twin = _twin(term.func)
     for hook, args in (("pre_reset", (self._everywhere,)), ("post_reset", (self._everywhere,)), ("post_step", ())):

@@ -224,6 +224,17 @@ class ObservationManager(ManagerBase[Any]):
   def set_params(self, name: str, /, **params: Any) -> None:
     """Change parameters of the term `name`, "group/term"; see `ManagerBase.set_params`."""
     super().set_params(name, **params)
+    self._share_again(name)
+
+  def scalar(self, name: str, parameter: str, /) -> torch.Tensor:
+    """Return a scalar parameter of the term `name`, "group/term"; see `ManagerBase.scalar`."""
+    is_first = not self.term(name).is_written
+    scalar = super().scalar(name, parameter)
+    if is_first:
+      self._share_again(name)
+    return scalar
+
+  def _share_again(self, name: str) -> None:
     before = self._distinct
     self._share()
     if self._distinct != before:
@@ -345,4 +356,5 @@ def _paths(groups: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def _are_equal(a: Term, b: Term) -> bool:
-  return not isinstance(a.func, ManagerTermBase) and same(a.func, b.func) and same(a.given, b.given)
+  is_fixed = not (isinstance(a.func, ManagerTermBase) or a.is_written or b.is_written)
+  return is_fixed and same(a.func, b.func) and same(a.given, b.given)

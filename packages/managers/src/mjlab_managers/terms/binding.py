@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 import traceback
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,8 @@ class Term:
     """Parameters, defaults included, with resolved entities."""
     self._values: dict[str, Any] = {}
     self._scalars: dict[str, torch.Tensor] = {}
+    self.is_written = False
+    """True if a scalar was given out, so that the present value may be another than in `given`."""
     self.func: Any = cfg.func
     """The function, or the instance of the class."""
     self._build(self._resolved({**self._signature.defaults, **params}))
@@ -94,11 +96,13 @@ class Term:
   def snapshot(self) -> Callable[[], None]:
     """Return a function that undoes later changes of parameters."""
     attributes = [(obj, dict(vars(obj))) for obj in (self, self.func) if obj is self or self._kind is not None]
+    values = self.scalar_values()
 
     def undo() -> None:
       for obj, before in attributes:
         vars(obj).clear()
         vars(obj).update(before)
+      self.write_scalars(values)
       self._show(self.given)
 
     return undo
@@ -109,21 +113,29 @@ class Term:
     Raises:
       MjlabError: a parameter does not exist or has a wrong value.
     """
-    if problems := list(self._signature.problems(params, complete=False)):
+    if problems := self.problems(params):
       raise ConfigError(*problems)
-    changed = {name: value for name, value in self._resolved(params).items() if not same(value, self.given.get(name))}
+    changed = {
+      name: value
+      for name, value in self._resolved(params).items()
+      if name in self._scalars or not same(value, self.given.get(name))
+    }
     if all(name in self._scalars and _is_scalar(value) for name, value in changed.items()):
       for name, value in changed.items():
         self._scalars[name].fill_(value)
       self._show({**self.given, **changed})
       return False
     state = self.func.state_dict() if self._kind is not None else {}
-    self._build({**self.given, **changed})
+    self._build({**self.given, **changed}, changed)
     if self._kind is not None:
       # Another parameter may change a shape. Then the state begins with its initial values.
       with suppress(MjlabError):
         self.func.load_state_dict(state)
     return True
+
+  def problems(self, params: Mapping[str, Any]) -> list[str]:
+    """Return the mistakes in changed parameters: unknown names and wrong values."""
+    return list(self._signature.problems(params, complete=False))
 
   def scalar(self, name: str) -> torch.Tensor:
     """Return the scalar of a parameter on the device.
@@ -132,7 +144,18 @@ class Term:
       MjlabError: no such parameter, or the term reads it only in `__init__`.
     """
     fixed = f"parameter '{name}' is not read again in every step, or is not a number; use set_params between steps."
-    return require(self._scalars.get(check_name("parameter", name, self.given)), torch.Tensor, fixed)
+    value = require(self._scalars.get(check_name("parameter", name, self.given)), torch.Tensor, fixed)
+    self.is_written = True
+    return value
+
+  def scalar_values(self) -> dict[str, torch.Tensor]:
+    """Return copies of the scalars on the device."""
+    return {name: scalar.clone() for name, scalar in self._scalars.items()}
+
+  def write_scalars(self, values: Mapping[str, torch.Tensor]) -> None:
+    """Write values from `scalar_values` back."""
+    for name in self._scalars.keys() & values.keys():
+      self._scalars[name].copy_(values[name])
 
   def _resolved(self, params: Mapping[str, Any]) -> dict[str, Any]:
     values = {}
@@ -143,9 +166,17 @@ class Term:
         raise MjlabError(f"parameter '{name}': {error}") from error
     return values
 
-  def _build(self, given: dict[str, Any]) -> None:
-    """Pass parameters to the term: keep them for the call of a function, or make the instance of a class."""
+  def _build(self, given: dict[str, Any], changed: Iterable[str] = ()) -> None:
+    """Pass parameters to the term: keep them for the call of a function, or make the instance of a class.
+
+    Scalars stay in their memory, which curricula may hold; only those in `changed` are written.
+    """
     scalars = self._signature.scalars(given, self._env.device) if self._takes_scalars else {}
+    for name in scalars.keys() & self._scalars.keys():
+      kept = self._scalars[name]
+      if name in changed:
+        kept.copy_(scalars[name])
+      scalars[name] = kept
     values = {**given, **scalars}
     used: set[str] = set()
     if self._kind is not None:
@@ -290,6 +321,15 @@ def _class_problem(kind: Any, base: type, *, masked: bool) -> str:
 
 def _is_scalar(value: Any) -> bool:
   return is_number(value) or (isinstance(value, torch.Tensor) and value.dim() == 0)
+
+
+def mask_problem(term: ManagerTermBase) -> str:
+  """Return the method of a command or action that takes world numbers, as in mjlab 1.x; empty if there is none."""
+  for name in ("reset", "resample"):
+    if hasattr(term, name) and "env_ids" in _names(getattr(type(term), name)):
+      method = f"{type(term).__name__}.{name}"
+      return f"{method}(self, env_ids) must be {name}(self, mask), with the worlds in `mask`, bool (num_envs,)."
+  return ""
 
 
 def _names(method: Callable[..., Any]) -> list[str]:

@@ -46,7 +46,7 @@ class Signature:
         # A number on the device, which cannot be checked on the host.
         continue
       elif wrong := named_problem(f"parameter '{name}'", value, self._hints.get(name)):
-        yield f"{wrong}."
+        yield f"{wrong.removesuffix('.')}."
     missing = [name for name in self.names if complete and name not in {**self.defaults, **given}]
     if missing:
       yield f"missing parameter{'s' * (len(missing) > 1)} {', '.join(missing)}."
