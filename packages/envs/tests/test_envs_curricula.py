@@ -5,12 +5,13 @@ from typing import Any
 import pytest
 import torch
 from envs_hopper import Make, actions, hopper_cfg
+from mjlab_core import Positive
 from mjlab_core.errors import ConfigError
 from mjlab_envs import mdp
 from mjlab_managers import CurriculumTermCfg, RewardTermCfg, TerminationTermCfg
 
 
-def lean(env: Any, *, scale: float, power: float = 1.0) -> torch.Tensor:
+def lean(env: Any, *, scale: Positive, power: float = 1.0) -> torch.Tensor:
   return torch.full((env.num_envs,), 2.0) * scale * power
 
 
@@ -77,6 +78,9 @@ def test_stages_may_count_iterations_and_change_terminations(make: Make) -> None
   [
     ([{"step": 3, "weight": 1.0}, {"step": 3, "weight": 2.0}], r"must follow in order, got steps \[3, 3\]"),
     ([{"step": 3, "params": {"scales": 1.0}}], "parameter 'scales' does not exist. Nearest: scale"),
+    ([{"step": 3, "params": {"scale": -1.0}}], "stage of step 3: parameter 'scale' must be positive, got -1.0"),
+    ([{"step": 3, "weight": float("nan")}], "Stage: weight must be a number, got nan"),
+    ([{"step": 2.5, "weight": 1.0}], "Stage: step must be a whole number, got 2.5"),
   ],
 )
 def test_stages_are_checked(make: Make, stages: list[Any], message: str) -> None:

@@ -6,23 +6,26 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
-from mjlab_core import MjlabError, PositiveCount
-from mjlab_managers import ManagerTermBase
+from mjlab_core import Config, ConfigError, Finite, MjlabError, PositiveCount, check_fields
+from mjlab_managers import ManagerTermBase, RewardManager, TerminationManager
 
 if TYPE_CHECKING:
   from mjlab_envs.env import ManagerBasedRlEnv
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stage:
+class Stage(Config):
   """Values of a term from one point of training on. A value that a stage leaves out stays as it is."""
 
   step: int
   """Environment step, or iteration where the curriculum counts iterations, with which the stage begins."""
-  weight: float | None = None
+  weight: Finite | None = None
   """Weight of a reward."""
-  params: dict[str, float] = field(default_factory=dict)
+  params: Mapping[str, float] = field(default_factory=dict)
   """Parameters of the term by name."""
+
+  def __post_init__(self) -> None:
+    check_fields(self, "Stage")
 
 
 Stages = Sequence[Stage | Mapping[str, Any]]
@@ -47,6 +50,8 @@ class _StagedValues(ManagerTermBase):
     read = [stage if isinstance(stage, Stage) else Stage(**stage) for stage in stages]
     if any(later.step <= sooner.step for sooner, later in pairwise(read)):
       raise MjlabError(f"stages must follow in order, got steps {[stage.step for stage in read]}")
+    if problems := [problem for stage in read for problem in self._problems(stage)]:
+      raise ConfigError(*problems)
     changes = [stage.params if stage.weight is None else {_WEIGHT: stage.weight, **stage.params} for stage in read]
     self._names = tuple(dict.fromkeys(name for change in changes for name in change))
     rows = [[float(self._scalar(name)) for name in self._names]]
@@ -74,14 +79,22 @@ class _StagedValues(ManagerTermBase):
     for name, value in zip(self._names, self._values.unbind(), strict=True):
       self._scalar(name).copy_(value)
 
+  @property
+  def _manager(self) -> RewardManager | TerminationManager:
+    return self.env.reward_manager if self._kind == "reward" else self.env.termination_manager
+
+  def _problems(self, stage: Stage) -> list[str]:
+    """Return the mistakes in the parameters of a stage, as `set_params` finds them."""
+    return [f"stage of step {stage.step}: {line}" for line in self._manager.term(self._term).problems(stage.params)]
+
   def _scalar(self, name: str) -> torch.Tensor:
     """Return the scalar of a parameter, or the weight, on the device."""
-    if self._kind == "reward":
-      rewards = self.env.reward_manager
-      return rewards.weight(self._term) if name == _WEIGHT else rewards.scalar(self._term, name)
-    if name == _WEIGHT:
-      raise MjlabError(f"stages of termination '{self._term}': a termination has no weight")
-    return self.env.termination_manager.scalar(self._term, name)
+    manager = self._manager
+    if name != _WEIGHT:
+      return manager.scalar(self._term, name)
+    if isinstance(manager, RewardManager):
+      return manager.weight(self._term)
+    raise MjlabError(f"stages of termination '{self._term}': a termination has no weight")
 
 
 class termination_curriculum(_StagedValues):
