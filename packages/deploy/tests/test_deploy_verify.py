@@ -76,10 +76,29 @@ def test_a_record_that_does_not_fit_is_refused(folder: Path) -> None:
     report_on(folder)
 
 
-@pytest.mark.parametrize("text", ['<mujoco><include file="/etc/passwd"/></mujoco>', "<mujoco><worldbody></mujoco>"])
-def test_a_hostile_scene_is_refused(folder: Path, text: str) -> None:
-  (folder / "scene.xml").write_text(text)
+@pytest.mark.parametrize(
+  "text",
+  [
+    '<include file="/etc/passwd"/>',
+    '<asset><mesh file ="hull.obj"/></asset>',
+    '<asset><texture name="sky" type="skybox" fileright="sky.png"/></asset>',
+  ],
+)
+def test_a_scene_that_refers_to_other_files_is_refused(folder: Path, text: str) -> None:
+  (folder / "scene.xml").write_text(f"<mujoco>{text}</mujoco>")
+  with pytest.raises(DeployError, match=r"^scene\.xml: refers to other files or plugins, which is not read$"):
+    report_on(folder)
+
+
+def test_a_damaged_scene_is_refused(folder: Path) -> None:
+  (folder / "scene.xml").write_text("<mujoco><worldbody></mujoco>")
   with pytest.raises(DeployError, match=r"scene\.xml"):
+    report_on(folder)
+
+
+def test_a_scene_without_the_root_of_the_robot_is_refused(folder: Path) -> None:
+  (folder / "scene.xml").write_text(SCENE.replace('body name="robot/pole"', 'body name="robot/stick"'))
+  with pytest.raises(DeployError, match=r"^scene\.xml: .*robot/pole"):
     report_on(folder)
 
 

@@ -79,6 +79,4 @@ class ClosedLoop:
   @property
   def tilt(self) -> float:
     """Angle between the root's z axis and the vertical [rad]."""
-    robot = self.description.robot
-    up = self.data.body(f"{robot.name}/{robot.root_body}").xmat[8]
-    return float(np.arccos(np.clip(up, -1.0, 1.0)))
+    return float(np.arccos(np.clip(self.data.xmat[self.sensors.root, 8], -1.0, 1.0)))

@@ -40,7 +40,6 @@ class LoopbackRobot(RobotIO):
     self._cameras = Cameras(self.model, self.description)
     self._images: Readings = {}
     self._next_image = 0.0
-    self._root = self.model.body(f"{self.description.robot.name}/{self.description.robot.root_body}").id
     self._driven, self._servos = self._make_servos()
     self._states: deque[RobotState] = deque()
     self._commands: deque[RobotCommand] = deque()
@@ -124,7 +123,7 @@ class LoopbackRobot(RobotIO):
       position=self._noisy(self.data.qpos[self._loop.sensors.qpos]),
       velocity=self._noisy(self.data.qvel[self._loop.sensors.qvel]),
       gyro=self._noisy(sensed.get("imu/gyro", np.zeros(3))),
-      orientation=self._noisy(self.data.xquat[self._root]),
+      orientation=self._noisy(self.data.xquat[self._loop.sensors.root]),
       readings={name: self._noisy(sensed[name]) for name in self._extra} | self._images,
     )
 

@@ -21,7 +21,7 @@ class ModelReadings:
     description: Contents of `bundle.json`.
 
   Raises:
-    DeployError: The model lacks an element that an input names.
+    DeployError: The model lacks a joint or the root of the robot, or an element that an input names.
   """
 
   def __init__(self, model: mujoco.MjModel, description: Description) -> None:
@@ -33,6 +33,8 @@ class ModelReadings:
     with reading("scene.xml", KeyError):
       self.joints = [model.joint(f"{prefix}{joint.name}").id for joint in description.robot.joints]
       """Numbers of the robot's joints."""
+      self.root = int(model.body(f"{prefix}{description.robot.root_body}").id)
+      """Number of the robot's root body."""
     self.qpos = model.jnt_qposadr[self.joints]
     """Columns of the robot's joints in qpos."""
     self.qvel = model.jnt_dofadr[self.joints]

@@ -1,5 +1,6 @@
 """The MuJoCo model of a bundle: `scene.xml`, and in `scene.npz` the numbers that six digits of XML do not hold."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -56,7 +57,8 @@ def load_scene(bundle: Bundle) -> mujoco.MjModel:
   if not bundle.has("scene.xml"):
     raise DeployError("the bundle has no scene.xml")
   text = bundle.read_bytes("scene.xml").decode("utf-8", errors="replace")
-  if "<include" in text or "file=" in text or "<plugin" in text:
+  # Attributes such as `fileright` name files too, and spaces may follow a name.
+  if re.search(r"<include|<plugin|\bfile\w*\s*=", text):
     raise DeployError("scene.xml: refers to other files or plugins, which is not read")
   with reading("scene.xml", ValueError, mujoco.FatalError):
     model = mujoco.MjModel.from_xml_string(text)
