@@ -2,7 +2,8 @@
 
   python tools/benchmark_actuators.py --num-envs 4096 --device cuda --output docs/benchmarks
 
-The task's servos, and the same groups as PD laws in torch, without and with a random delay. Random actions throughout.
+The servos of the task, and the same groups as PD actuators in torch, without and with a random delay. Actions are
+random.
 """
 
 import argparse
@@ -19,8 +20,8 @@ from stage_timing import time_methods
 
 VARIANTS: dict[str, dict[str, int] | None] = {
   "servos in MuJoCo": None,
-  "PD laws": {},
-  "PD laws, lag of 0 to 3 substeps": {"delay_min_lag": 0, "delay_max_lag": 3},
+  "PD actuators": {},
+  "PD actuators, lag of 0 to 3 substeps": {"delay_min_lag": 0, "delay_max_lag": 3},
 }
 
 
@@ -63,8 +64,8 @@ def measure(args: argparse.Namespace, delay: dict[str, int] | None) -> dict[str,
   robot = cfg.scene.entities["robot"]
   servos = robot.articulation.actuators
   if delay is not None:
-    laws = tuple(in_torch(servo, delay) for servo in servos)
-    cfg.scene.entities["robot"] = replace(robot, articulation=replace(robot.articulation, actuators=laws))
+    actuators = tuple(in_torch(servo, delay) for servo in servos)
+    cfg.scene.entities["robot"] = replace(robot, articulation=replace(robot.articulation, actuators=actuators))
   env = ManagerBasedRlEnv(cfg, args.device)
   env.reset()
   action = torch.zeros(args.num_envs, env.action_manager.total_action_dim, device=env.device)

@@ -26,7 +26,7 @@ HISTORY = 3
 
 
 def train_network(path: Path, *, steps: int = 400) -> float:
-  """Teaches a small network a PD law with a soft limit, stores its state dict, and returns its error [N m].
+  """Train a small network on a PD controller with a soft limit, save its state dict, and return its error [N m].
 
   It stands for one trained on the records of a real motor: rows of position errors and velocities, newest first.
   """

@@ -87,7 +87,7 @@ def test_the_policy_follows_commands_through_the_loopback(bundle: Bundle, delay:
     runner.command["command/angle"][:] = command
     advance(robot, runner, 1.5)
     assert runner.phase == "policy", runner.reason
-    # The policy settles where its linear law balances; 9 is limited to 0.5, the end of the range.
+    # The policy settles where its linear feedback balances; 9 is limited to 0.5, the end of the range.
     where = float(robot.data.qpos[0])
     assert np.sign(where - 0.1) == np.sign(command), where
     if command == 9.0:

@@ -53,8 +53,8 @@ ARM = """<mujoco><worldbody><body name="base">{}</body></worldbody>
 )
 
 
-def arm_cfg(*laws: ActuatorCfg, engine: str = "native", **events: Any) -> Any:
-  robot = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(ARM), articulation=EntityArticulationCfg(actuators=laws))
+def arm_cfg(*cfgs: ActuatorCfg, engine: str = "native", **events: Any) -> Any:
+  robot = EntityCfg(spec_fn=lambda: mujoco.MjSpec.from_string(ARM), articulation=EntityArticulationCfg(actuators=cfgs))
   nothing: dict[str, Any] = {
     name: {} for name in ("actions", "commands", "observations", "rewards", "terminations", "metrics")
   }
@@ -104,7 +104,7 @@ def test_gains_act_in_the_simulation(make: Make, parameter: str) -> None:
   event = drawn(parameter, (1.5, 1.5), targets=tuple(names))
   plain, env = make(arm_cfg(*LAWS.values())), make(arm_cfg(*LAWS.values(), gains=event))
   robot = env.scene["robot"]
-  # Velocity targets for dampings, positions for stiffness; the laws that damp towards zero are seen when moving.
+  # Velocity targets for dampings, positions for stiffness; the models that damp towards zero are seen when moving.
   wanted = {"stiffness": (0.01, 0.0), "damping": (0.0, 0.02)}[parameter]
   got = []
   for environment in (plain, env):
@@ -129,9 +129,9 @@ def stored(env: Any) -> dict[str, torch.Tensor]:
   """Everything that randomisation of actuators may write."""
   fields = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "jnt_actfrcrange", "tendon_actfrcrange")
   found = {field: getattr(env.sim.model, field).clone() for field in fields}
-  for law in env.scene["robot"].actuators.groups:
-    for name in law.group.parameter_names:
-      found[f"{type(law).__name__}.{name}"] = getattr(law, name).clone()
+  for model in env.scene["robot"].actuators.groups:
+    for name in model.group.parameter_names:
+      found[f"{type(model).__name__}.{name}"] = getattr(model, name).clone()
   return found
 
 
@@ -167,7 +167,7 @@ def test_a_hundred_repeats_end_where_one_does_and_touch_masked_worlds_only(make:
   assert {"EnvelopedPd.motoring_effort", "EnvelopedPd.braking_effort"} <= changed
   assert not {"tendon_actfrcrange", "DcMotor.damping", "DcMotor.saturation_effort"} & changed
   pd = env.scene["robot"].actuators.groups
-  kd = next(law.damping for law in pd if type(law).__name__ == "IdealPd")
+  kd = next(model.damping for model in pd if type(model).__name__ == "IdealPd")
   assert ((kd >= 1.0) & (kd <= 3.0)).all()
   assert kd[[0, 2, 3]].unique().numel() == 3
 
@@ -204,21 +204,21 @@ def test_a_curriculum_widens_the_range_of_a_gain(make: Make) -> None:
     name: CurriculumTermCfg(mdp.widen_randomization, params={"event": name, "steps": (2, 12)}) for name in ("kp", "kd")
   }
   env = make(cfg)
-  (law,) = env.scene["robot"].actuators.groups
+  (model,) = env.scene["robot"].actuators.groups
   spread = []
   for step in range(20):
     env.step(torch.zeros(WORLDS, 0))
     share = min(1.0, max(0.0, (step + 1 - 2) / 10))
-    spread.append((law.stiffness / 20.0 - 1.0).abs().max().item())
+    spread.append((model.stiffness / 20.0 - 1.0).abs().max().item())
     assert spread[-1] <= 0.5 * share + 1e-6
-    torch.testing.assert_close(law.damping, torch.full_like(law.damping, 2.0 + 2.0 * share))
+    torch.testing.assert_close(model.damping, torch.full_like(model.damping, 2.0 + 2.0 * share))
   assert max(spread[11:]) > 0.3
 
 
 def test_a_list_of_two_numbers_is_a_range(make: Make) -> None:
   env = make(arm_cfg(LAWS["pd"], kp=drawn("stiffness", [2.0, 2.0], targets="pd")))
-  (law,) = env.scene["robot"].actuators.groups
-  assert (law.stiffness == 40.0).all()
+  (model,) = env.scene["robot"].actuators.groups
+  assert (model.stiffness == 40.0).all()
 
 
 def test_the_limit_of_a_tendon_follows_its_actuators(make: Make, engine: str) -> None:
@@ -262,7 +262,7 @@ def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, optio
     assert torch.equal(ages, ages[:1].expand_as(ages)), joint
     assert ((ages >= 2) & (ages <= 4)).all()
     seen[joint] = ages[0]
-  # Targets of one law share their delay.
+  # Targets of one model share their delay.
   assert torch.equal(seen["motor"], seen["dc"])
   assert torch.cat((seen["motor"], seen["pd"])).unique().numel() > 1
 
@@ -270,14 +270,14 @@ def test_a_lag_from_outside_is_kept_through_redraws_and_resets(make: Make, optio
 def test_lags_are_drawn_again_in_masked_worlds_only(make: Make) -> None:
   event = delays((0, 9), "reset", targets=("pd",))
   env = make(arm_cfg(late("pd", (0, 9)), delay=event))
-  (law,) = env.scene["robot"].actuators.groups
+  (model,) = env.scene["robot"].actuators.groups
   everyone, one = torch.ones(WORLDS, dtype=torch.bool), torch.tensor([False, True, False, False])
   env.event_manager.apply("reset", everyone)
-  kept, mine = law.delay.lag.clone(), set()
+  kept, mine = model.delay.lag.clone(), set()
   for _ in range(100):
     env.event_manager.apply("reset", one)
-    assert torch.equal(law.delay.lag[~one], kept[~one])
-    mine.add(int(law.delay.lag[1]))
+    assert torch.equal(model.delay.lag[~one], kept[~one])
+    mine.add(int(model.delay.lag[1]))
   assert mine == set(range(10))
 
 

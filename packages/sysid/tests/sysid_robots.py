@@ -89,11 +89,11 @@ def record(
   bias: float = 0.0,
   source: str = "record",
   signals: tuple[str, ...] = ("position", "velocity"),
-  law: Callable[..., np.ndarray] | None = None,
+  controller: Callable[..., np.ndarray] | None = None,
 ) -> Record:
   """Record a model; `delay` in timesteps, `bias` of all encoders, signal "imu" for both signals of the IMU.
 
-  `law` of targets, positions and velocities gives the controls of motors; without it, targets are controls.
+  `controller` of targets, positions and velocities gives the controls of motors; without it, targets are controls.
   """
   data = mujoco.MjData(model)
   data.qpos[:] = robot.pose
@@ -109,8 +109,8 @@ def record(
       rows.append(np.concatenate((data.qpos[addresses], data.qvel[dofs])))
       before = data.qpos[:7].copy()
     data.ctrl[:] = held[max(0, step - delay)] - bias
-    if law is not None:
-      data.ctrl[:] = law(data.ctrl, data.qpos[addresses][order], data.qvel[dofs][order])
+    if controller is not None:
+      data.ctrl[:] = controller(data.ctrl, data.qpos[addresses][order], data.qvel[dofs][order])
     mujoco.mj_step(model, data)
     if step % substeps == 0:
       rows[-1] = np.concatenate((rows[-1], data.qfrc_actuator[dofs]))

@@ -114,7 +114,7 @@ def test_actuator_models_of_torch_are_fitted_too(kind: str) -> None:
     robot,
     changed(robot, {"dof_armature:knee": 1.5}),
     sines(robot, 0, 1.5),
-    law=lambda target, position, velocity: gains * (target - position) - 0.5 * velocity,
+    controller=lambda target, position, velocity: gains * (target - position) - 0.5 * velocity,
   )
   found = fit(robot, [made], "stiffness:hip", "armature:knee")
   agree(found, {"stiffness:hip": 1.3, "dof_armature:knee": 1.5}, 0.005)

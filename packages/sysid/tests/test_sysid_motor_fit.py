@@ -12,8 +12,8 @@ import pytest
 import torch
 from mjlab_actuators import ActuatorSet, IdealPdActuatorCfg, LearnedMlpActuatorCfg
 from mjlab_core import MjlabError
-from mjlab_sysid import MotorFit, MotorFitCfg, MotorLaw, fit_motor, read_records
-from mjlab_sysid.motors.motor_law import fit_motor_law
+from mjlab_sysid import MotorFit, MotorFitCfg, MotorModel, fit_motor, read_records
+from mjlab_sysid.motors.motor_model import fit_motor_model
 
 PERIOD = 0.005
 PENDULUM = f"""
@@ -33,8 +33,8 @@ def motor(error: float, velocity: float) -> float:
   return drive - FRICTION * math.tanh(velocity / 0.3)
 
 
-def drive(law: Any, seed: int, steps: int) -> np.ndarray:
-  """Return rows of HEADER while `law` (target, position, velocity) -> effort follows steps and sweeps."""
+def drive(effort_of: Any, seed: int, steps: int) -> np.ndarray:
+  """Return rows of HEADER while `effort_of` (target, position, velocity) -> effort follows steps and sweeps."""
   spec = mujoco.MjSpec.from_string(PENDULUM)
   spec.add_actuator(name="m", target="hinge", trntype=mujoco.mjtTrn.mjTRN_JOINT).set_to_motor()
   model = spec.compile()
@@ -46,7 +46,7 @@ def drive(law: Any, seed: int, steps: int) -> np.ndarray:
     target = level + 0.3 * math.sin(speed * data.time)
     mujoco.mj_forward(model, data)
     position, velocity = data.qpos[0], data.qvel[0]
-    effort = law(target, position, velocity)
+    effort = effort_of(target, position, velocity)
     rows.append((data.time, target, position, velocity, effort))
     data.ctrl[0] = effort
     mujoco.mj_step(model, data)
@@ -56,11 +56,11 @@ def drive(law: Any, seed: int, steps: int) -> np.ndarray:
 def hidden_motor() -> Any:
   late: list[float] = []
 
-  def law(target: float, position: float, velocity: float) -> float:
+  def effort_of(target: float, position: float, velocity: float) -> float:
     late.append(target)
     return motor(late[max(len(late) - 1 - DELAY, 0)] - position, velocity)
 
-  return law
+  return effort_of
 
 
 def built(cfg: Any, dtype: torch.dtype) -> ActuatorSet:
@@ -96,13 +96,13 @@ def fitted(recorded: Path) -> MotorFit:
   return fit_motor(read_records([recorded]), MotorFitCfg(history_length=4, epochs=60))
 
 
-def test_a_motor_with_friction_and_delay_is_recovered_far_better_than_by_a_pd_law(fitted: MotorFit) -> None:
+def test_a_motor_with_friction_and_delay_is_recovered_far_better_than_by_pd(fitted: MotorFit) -> None:
   effort = fitted.held_out[:, 0]
   assert effort.square().mean().sqrt() > 1.0
   # In N m, of a motor that gives up to 4.
   assert fitted.held_out_error < 0.06
   assert fitted.train_error < 0.06
-  # The best PD law for these records does not have the gains of the hidden motor.
+  # The best PD controller for these records does not have the gains of the hidden motor.
   assert fitted.pd_error > 15.0 * fitted.held_out_error
   assert fitted.curve[-1].held_out_error < 0.2 * fitted.curve[0].held_out_error
 
@@ -118,24 +118,24 @@ def test_the_parametric_motor_is_recovered_too(fitted: MotorFit) -> None:
 
 
 def test_an_envelope_and_a_delay_of_half_a_sample_are_found() -> None:
-  law = MotorLaw(30.0, 0.5, 1.5, 0.4, 0.1, math.inf, 6.0, 12.0)
+  parametric = MotorModel(30.0, 0.5, 1.5, 0.4, 0.1, math.inf, 6.0, 12.0)
 
   def limited(target: float, position: float, velocity: float) -> float:
-    return float(law._replace(delay=0.0).efforts(np.array([[target, position, velocity, 0.0]]))[0])
+    return float(parametric._replace(delay=0.0).efforts(np.array([[target, position, velocity, 0.0]]))[0])
 
   rows = drive(limited, seed=1, steps=1500)[:, 1:]
-  rows[:, 3] = law.efforts(rows)
-  found = fit_motor_law([rows], 0)
+  rows[:, 3] = parametric.efforts(rows)
+  found = fit_motor_model([rows], 0)
   assert math.isinf(found.effort_limit)
-  for name in law._fields:
-    assert getattr(found, name) == pytest.approx(getattr(law, name), rel=0.03), name
+  for name in parametric._fields:
+    assert getattr(found, name) == pytest.approx(getattr(parametric, name), rel=0.03), name
 
 
 def test_the_learned_motor_moves_a_joint_like_the_real_one_on_new_targets(fitted: MotorFit, tmp_path: Path) -> None:
   kp, kd = fitted.pd_gains
   ideal = IdealPdActuatorCfg(target_names_expr=("hinge",), stiffness=kp, damping=kd)
 
-  def law(cfg: Any) -> Any:
+  def effort_of(cfg: Any) -> Any:
     actuators = built(cfg, torch.float64)
 
     def effort(*numbers: float) -> float:
@@ -146,7 +146,8 @@ def test_the_learned_motor_moves_a_joint_like_the_real_one_on_new_targets(fitted
     return effort
 
   real, like, pd = (
-    drive(which, seed=7, steps=1600)[:, 2] for which in (hidden_motor(), law(learned(fitted, tmp_path)), law(ideal))
+    drive(which, seed=7, steps=1600)[:, 2]
+    for which in (hidden_motor(), effort_of(learned(fitted, tmp_path)), effort_of(ideal))
   )
   assert np.sqrt(np.mean(np.square(like - real))) < 0.01
   assert np.sqrt(np.mean(np.square(pd - real))) > 8.0 * np.sqrt(np.mean(np.square(like - real)))
@@ -157,9 +158,9 @@ def test_the_stored_network_gives_the_reported_efforts(fitted: MotorFit, tmp_pat
   assert [path.name for path in tmp_path.iterdir()] == ["motor.pt"]
   assert (cfg.sample_period, cfg.history_length) == (PERIOD, 4)
   cfg.validate(["hinge"])
-  law: Any = built(cfg, torch.float32).groups[0]
+  group: Any = built(cfg, torch.float32).groups[0]
   rows = torch.randn(5, 8)
-  torch.testing.assert_close(law.network(rows), fitted.network(rows))
+  torch.testing.assert_close(group.network(rows), fitted.network(rows))
 
 
 def test_the_same_seed_gives_the_same_network(recorded: Path) -> None:

@@ -6,7 +6,7 @@ from mjlab_sysid.excitation import Excitation, ExcitationCfg, Peak, design_excit
 from mjlab_sysid.identified import Estimate, Identified, Information, Trace
 from mjlab_sysid.identify import Progress, identify
 from mjlab_sysid.motors.motor_fit import FitProgress, MotorFit, MotorFitCfg, fit_motor, require_matplotlib
-from mjlab_sysid.motors.motor_law import MotorLaw
+from mjlab_sysid.motors.motor_model import MotorModel
 from mjlab_sysid.parameters import FitTerm, Parameter, Range, parse_term
 from mjlab_sysid.problem import IdentifyCfg
 from mjlab_sysid.report import write_report
@@ -23,7 +23,7 @@ __all__ = [
   "Information",
   "MotorFit",
   "MotorFitCfg",
-  "MotorLaw",
+  "MotorModel",
   "Parameter",
   "Peak",
   "Progress",

@@ -17,7 +17,7 @@ from mjlab_core.io.files import AtomicWrite
 from mjlab_core.lazy import from_extra
 
 from mjlab_sysid.data.records import Record, uniform
-from mjlab_sysid.motors.motor_law import MotorLaw, fit_motor_law, fit_pd_law
+from mjlab_sysid.motors.motor_model import MotorModel, fit_motor_model, fit_pd
 
 
 @dataclass(kw_only=True)
@@ -72,12 +72,12 @@ class MotorFit:
   train_error: float
   held_out_error: float
   pd_error: float
-  """Held-out error of the best ideal PD law on the same records, for comparison."""
+  """Held-out error of the best ideal PD controller on the same records, for comparison."""
   pd_gains: tuple[float, float]
-  """Stiffness and damping of that law."""
+  """Stiffness and damping of that controller."""
   motor_error: float
   """Held-out error of the best parametric motor on the same records, for comparison."""
-  motor: MotorLaw
+  motor: MotorModel
   """That motor: PD with delay, friction and torque-speed limits."""
   held_out: torch.Tensor
   """Efforts of the held-out samples, measured and of the network, (samples, 2) [N or N m]."""
@@ -101,7 +101,7 @@ class MotorFit:
     epochs = [point.epoch for point in self.curve]
     errors.semilogy(epochs, [point.train_error for point in self.curve], label="train")
     errors.semilogy(epochs, [point.held_out_error for point in self.curve], label="held out")
-    errors.axhline(self.pd_error, color="gray", linestyle="--", label="best PD law, held out")
+    errors.axhline(self.pd_error, color="gray", linestyle="--", label="best PD controller, held out")
     errors.axhline(self.motor_error, color="black", linestyle=":", label="fitted motor, held out")
     errors.set(title="error (root mean square)", xlabel="epoch")
     errors.legend()
@@ -163,7 +163,7 @@ def fit_motor(
     raise MjlabError("signal 'effort' never changes, so there is nothing to learn")
   result, curve = _trained((x, y), (x_held, y_held), cfg, on_epoch)
   first = cfg.history_length - 1
-  motor, pd = fit_motor_law(trained, first), fit_pd_law(trained, first)
+  motor, pd = fit_motor_model(trained, first), fit_pd(trained, first)
   with torch.no_grad():
     held_out = torch.stack((y_held, result(x_held)[:, 0]), dim=1)
   return MotorFit(

@@ -16,7 +16,7 @@ _LINES = ((1.5, 2.0), (1.0, 1.5), (0.7, 1.2))
 _POLISHED, _ITERATIONS = 4, 60
 
 
-class MotorLaw(NamedTuple):
+class MotorModel(NamedTuple):
   """Motor with effort clamp(kp (q*(t - delay) - q) - kd q', -+ bounds) - friction tanh(q' / friction_speed).
 
   The bounds are those of a DC motor, as in `DcMotorActuatorCfg`: min(saturation_effort (1 -+ q' / velocity_limit),
@@ -59,23 +59,23 @@ class MotorLaw(NamedTuple):
     """Return the root mean square of the residual."""
     return float(np.sqrt(np.square(self.residual(tables, first)).mean()))
 
-  def without_unused_limits(self, tables: Sequence[np.ndarray]) -> "MotorLaw":
-    """Return the law with infinite limits where no sample reaches them."""
-    law = self
+  def without_unused_limits(self, tables: Sequence[np.ndarray]) -> "MotorModel":
+    """Return the model with infinite limits where no sample reaches them."""
+    model = self
     for names in (("effort_limit",), ("saturation_effort", "velocity_limit")):
       unlimited = dict.fromkeys(names, np.inf)
       free = self._replace(**unlimited)
       if all(np.allclose(free.efforts(rows), self.efforts(rows)) for rows in tables):
-        law = law._replace(**unlimited)
-    return law
+        model = model._replace(**unlimited)
+    return model
 
 
-def fit_motor_law(tables: Sequence[np.ndarray], first: int) -> MotorLaw:
-  """Return the law of stretches of target, position, velocity, effort, (rows, 4), from row `first` of each on."""
+def fit_motor_model(tables: Sequence[np.ndarray], first: int) -> MotorModel:
+  """Return the model of stretches of target, position, velocity, effort, (rows, 4), from row `first` of each on."""
   effort, velocity = np.concatenate([rows[:, [3, 2]] for rows in tables]).T
   most, fastest = float(np.abs(effort).max()), max(1e-6, float(np.abs(velocity).max()))
   starts = [
-    fit_pd_law(tables, first, delay=delay, most=share * most)._replace(
+    fit_pd(tables, first, delay=delay, most=share * most)._replace(
       friction=0.05 * most,
       friction_speed=0.05 * fastest,
       effort_limit=1.02 * most,
@@ -85,34 +85,36 @@ def fit_motor_law(tables: Sequence[np.ndarray], first: int) -> MotorLaw:
     for delay, share, (stall, speed) in itertools.product(_DELAYS, _SHARES, _LINES)
   ]
 
-  def error(law: MotorLaw) -> float:
-    return law.error(tables, first)
+  def error(model: MotorModel) -> float:
+    return model.error(tables, first)
 
-  found = [_polished(law, tables, first, most, fastest) for law in sorted(starts, key=error)[:_POLISHED]]
+  found = [_polished(model, tables, first, most, fastest) for model in sorted(starts, key=error)[:_POLISHED]]
   return min(found, key=error).without_unused_limits(tables)
 
 
-def fit_pd_law(tables: Sequence[np.ndarray], first: int, *, delay: int = 0, most: float = np.inf) -> MotorLaw:
-  """Return the PD law, late by whole samples, that fits samples of efforts up to `most` best in the least squares."""
+def fit_pd(tables: Sequence[np.ndarray], first: int, *, delay: int = 0, most: float = np.inf) -> MotorModel:
+  """Return the PD controller with a delay of whole samples that best fits efforts up to `most` (least squares)."""
   begin = max(first, delay)
   stretches = [np.column_stack((rows[begin - delay : len(rows) - delay, 0], rows[begin:, 1:])) for rows in tables]
   target, position, velocity, effort = np.concatenate(stretches).T
   used = np.abs(effort) <= most
   inputs = np.stack((target - position, -velocity), 1)
   stiffness, damping = np.linalg.lstsq(inputs[used], effort[used], rcond=None)[0].tolist()
-  return MotorLaw(max(1e-3, stiffness), max(1e-4, damping), delay, 0.0, 1.0, np.inf, np.inf, np.inf)
+  return MotorModel(max(1e-3, stiffness), max(1e-4, damping), delay, 0.0, 1.0, np.inf, np.inf, np.inf)
 
 
-def _polished(law: MotorLaw, tables: Sequence[np.ndarray], first: int, most: float, fastest: float) -> MotorLaw:
-  scale = np.array([law.stiffness, max(law.damping, 0.01 * law.stiffness), 1.0, most, fastest, most, most, fastest])
+def _polished(motor: MotorModel, tables: Sequence[np.ndarray], first: int, most: float, fastest: float) -> MotorModel:
+  scale = np.array(
+    [motor.stiffness, max(motor.damping, 0.01 * motor.stiffness), 1.0, most, fastest, most, most, fastest]
+  )
   lower = np.array([0.1, 0.0, 0.0, 0.0, 1e-3, 0.2, 0.2, 0.3])
   upper = np.array([10.0, 10.0, _DELAYS[-1] + 1.0, 0.5, 0.3, 2.0, 20.0, 50.0])
 
   def residual(z: np.ndarray) -> np.ndarray:
-    return np.stack([MotorLaw(*(scale * column)).residual(tables, first) for column in z.T], 1) / most
+    return np.stack([MotorModel(*(scale * column)).residual(tables, first) for column in z.T], 1) / most
 
   best, _ = least_squares(
-    np.clip(np.array(law) / scale, lower + 1e-6, upper - 1e-6),
+    np.clip(np.array(motor) / scale, lower + 1e-6, upper - 1e-6),
     residual,
     bounds=[lower, upper],
     eps=1e-4,
@@ -120,4 +122,4 @@ def _polished(law: MotorLaw, tables: Sequence[np.ndarray], first: int, most: flo
     verbose=Verbosity.SILENT,
     output=io.StringIO(),
   )
-  return MotorLaw(*(scale * np.asarray(best).ravel()).tolist())
+  return MotorModel(*(scale * np.asarray(best).ravel()).tolist())
