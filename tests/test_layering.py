@@ -135,7 +135,7 @@ def test_there_are_few_exception_classes_and_protocols() -> None:
   modules = [module for member in measure_source.members() for module in member.modules]
   errors = [name for module in modules for name in measure_source.exception_classes(module)]
   protocols = [name for module in modules for name in measure_source.protocols(module)]
-  assert len(errors) <= 9, errors
+  assert len(errors) <= 8, errors
   assert len(protocols) <= 12, protocols
 
 
@@ -143,7 +143,9 @@ def test_the_measure_finds_circles_of_type_hints_and_private_names(tmp_path: Pat
   folder = tmp_path / "src" / "mjlab_x"
   folder.mkdir(parents=True)
   (folder / "__init__.py").write_text("")
-  (folder / "a.py").write_text("from mjlab_x import b\nimport torch\ntorch._C.f()\n")
+  (folder / "a.py").write_text(
+    "from mjlab_x import b\nimport torch\ntorch._C.f()\nclass C:\n  def f(self, x):\n    self._version = x._version\n"
+  )
   (folder / "b.py").write_text("def f():\n  from mjlab_x.c import _hidden\n")
   (folder / "c.py").write_text(
     "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n  from mjlab_x.a import A\n_hidden = 1\n"
@@ -151,4 +153,4 @@ def test_the_measure_finds_circles_of_type_hints_and_private_names(tmp_path: Pat
   member = measure_source.Member("x", tmp_path)
   assert measure_source.import_circles(member) == [["mjlab_x.a", "mjlab_x.b", "mjlab_x.c"]]
   found = {name for _, _, _, name in measure_source.private_names(member)}
-  assert found == {"torch._C", "mjlab_x.c._hidden"}
+  assert found == {"torch._C", "x._version", "mjlab_x.c._hidden"}

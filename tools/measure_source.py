@@ -29,10 +29,12 @@ QUESTION = re.compile(r"(what|whether|who|whoever|whom|whose|how|where|which|why
 PRIVATE_HOMES = {
   "mujoco_warp": ("mjlab_sim.warp.internals",),
   "warp": ("mjlab_sim.warp.solver.tile_solvers",),
-  "torch": ("mjlab_sim.tensors", "mjlab_managers.terms.watch"),
+  "torch": ("mjlab_core.torch_internals",),
   "mjviser": ("mjlab_viewer.browser.world.mjviser_scene",),
   "viser": ("mjlab_viewer.browser.viser_internals",),
 }
+# Private attributes of tensors. They count on every object but `self`, also where a member defines an equal name.
+OF_TENSORS = {"_base", "_is_view", "_version"}
 # Public names of named tuples, in spite of their form.
 NAMED_TUPLE = {"_asdict", "_fields", "_replace", "_make"}
 Function = ast.FunctionDef | ast.AsyncFunctionDef
@@ -225,7 +227,10 @@ def private_names(member: Member) -> list[tuple[Module, int, str, str]]:
         found.append((module, line, top, ".".join(parts)))
       packages[(name or source).partition(".")[0]] = top
     for node in module.nodes:
-      if isinstance(node, ast.Attribute) and _is_private(node.attr) and node.attr not in defined:
+      if not isinstance(node, ast.Attribute) or not _is_private(node.attr):
+        continue
+      is_of_tensor = node.attr in OF_TENSORS and ast.unparse(node.value) not in ("self", "cls")
+      if is_of_tensor or node.attr not in defined:
         chain = ast.unparse(node)
         found.append((module, node.lineno, packages.get(chain.partition(".")[0], ""), chain))
   return found

@@ -243,3 +243,12 @@ class TestWrittenScalars:
     seen: Any = manager.compute()
     assert torch.equal(seen["a"], env.values * 2.0)
     assert torch.equal(seen["b"], env.values * 5.0)
+
+
+def test_terms_get_python_numbers_where_reads_on_the_host_cannot_be_seen(env, monkeypatch: pytest.MonkeyPatch):
+  monkeypatch.setattr("mjlab_managers.terms.watch.SEES_OPERATIONS", False)
+  manager = rewards(env, scaled, scale=2.0)
+  assert manager.compute().tolist() == [2.0] * 4
+  manager.set_params("r", scale=3.0)
+  assert env.recaptures
+  assert manager.compute().tolist() == [3.0] * 4

@@ -1,4 +1,4 @@
-"""Private names of MuJoCo Warp, Warp and torch: listed in one module each, and replaceable by public functions."""
+"""Private names of MuJoCo Warp and Warp: listed in one module each, and replaceable by public functions."""
 
 import importlib
 from typing import Any
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from mjlab_core import MjlabError
-from mjlab_sim import Simulation, SimulationCfg, tensors
+from mjlab_sim import Simulation, SimulationCfg
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.solver import tile_solvers
 
-HOMES = {"mujoco_warp": internals, "warp": tile_solvers, "torch": tensors}
+HOMES = {"mujoco_warp": internals, "warp": tile_solvers}
 
 
 @pytest.mark.parametrize("library", HOMES)
@@ -73,8 +73,3 @@ def test_another_minor_of_mujoco_warp_takes_public_functions(monkeypatch: pytest
   with pytest.raises(MjlabError, match=r"exclude_trees needs mujoco-warp 4\.0"):
     sim.make_ray_caster(1, bodyexclude=2, exclude_trees=True)
   sim.close()
-
-
-def test_without_version_counters_every_read_counts_as_after_a_write() -> None:
-  tensor = torch.zeros(1)
-  assert tensors._always_new(tensor) != tensors._always_new(tensor)

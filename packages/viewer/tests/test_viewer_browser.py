@@ -25,8 +25,9 @@ from mjlab_viewer import BrowserViewer, CheckpointList, Playback, Replay, Snapsh
 from mjlab_viewer.browser import viser_internals
 from mjlab_viewer.browser.controls import _ratio
 from mjlab_viewer.browser.viser_internals import LoopEvent
+from mjlab_viewer.browser.world import mjviser_scene
 from mjlab_viewer.browser.world.groups import geom_labels, site_labels
-from mjlab_viewer.browser.world.mjviser_scene import PRIVATE_NAMES, TESTED_VERSION, MujocoScene
+from mjlab_viewer.browser.world.mjviser_scene import PRIVATE_FUNCTIONS, PRIVATE_NAMES, TESTED_VERSION, MujocoScene
 from mjviser import conversions
 from playwright.sync_api import Browser, Page
 from viewer_env import GROUND, BoxEnv
@@ -697,6 +698,17 @@ def test_the_private_names_of_mjviser_are_those_of_the_tested_version() -> None:
   with BrowserViewer(BoxEnv(1), port=8300) as viewer:
     assert importlib.metadata.version("mjviser") == TESTED_VERSION
     assert all(hasattr(viewer.scene.scene, name) for name in PRIVATE_NAMES)
+  assert list(PRIVATE_FUNCTIONS) == [mjviser_scene._can_merge_vertices.__name__]
+  assert all(hasattr(conversions, name) for name in PRIVATE_FUNCTIONS)
+
+
+def test_the_private_names_of_viser_are_those_of_the_tested_versions(monkeypatch: pytest.MonkeyPatch) -> None:
+  names = [path.rpartition(".")[2] for path in viser_internals.PRIVATE_NAMES]
+  assert all(hasattr(viser_internals._owner_of(name), name) for name in names)
+  monkeypatch.setattr(viser, "__version__", "1.9.0")
+  assert [viser_internals._owner_of(name) for name in names] == [None, None]
+  with BrowserViewer(BoxEnv(1), port=8300) as viewer:
+    viewer.update()
 
 
 def test_worlds_are_shown_without_the_private_names_of_mjviser(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,10 +5,11 @@ from collections.abc import Iterable
 import torch
 from mjlab_core import MjlabError, unknown
 from mjlab_core.mujoco.model_fields import PER_WORLD
+from mjlab_core.torch_internals import version_of
 
 from mjlab_sim.engine import Engine
 from mjlab_sim.fields import KINEMATIC_STATE, STATE
-from mjlab_sim.tensors import TorchArray, plain, version_of, versions
+from mjlab_sim.tensors import TorchArray, plain, versions
 
 _DATA_FIELDS = (
   *STATE,

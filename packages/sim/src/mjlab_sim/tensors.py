@@ -1,32 +1,9 @@
-"""Tensors over engine memory, and their version counters.
+"""Tensors over engine memory, and their version counters."""
 
-This is the only module with private names of torch. `PRIVATE` lists them with the reason; without one of them the same
-code runs slower.
-"""
-
-import itertools
-import operator
 from collections.abc import Callable, Iterable
 
 import torch
-
-PRIVATE = {
-  "torch.Tensor._version": "counts in-place writes to a tensor; without it every read computes again",
-  "torch._C._disabled_torch_function_impl": "makes results plain tensors; without it they are TorchArrays, too",
-}
-
-_clock = itertools.count(1)
-
-
-def _always_new(tensor: torch.Tensor) -> int:
-  """Return another number at each call, as if the tensor were written between any two."""
-  return next(_clock)
-
-
-version_of: Callable[[torch.Tensor], int] = (
-  operator.attrgetter("_version") if hasattr(torch.Tensor, "_version") else _always_new
-)
-"""Return a number that grows with every in-place write to a tensor or to a view of the same memory."""
+from mjlab_core.torch_internals import PLAIN_RESULTS, version_of
 
 
 def versions(tensors: Iterable[torch.Tensor]) -> int:
@@ -41,8 +18,8 @@ class TorchArray(torch.Tensor):
   memory alive for as long as the simulation is open.
   """
 
-  if hasattr(torch._C, "_disabled_torch_function_impl"):
-    __torch_function__ = torch._C._disabled_torch_function_impl  # pyright: ignore[reportAssignmentType]  # ty: ignore[incompatible-method-override]
+  if PLAIN_RESULTS is not None:
+    __torch_function__ = PLAIN_RESULTS
 
   @staticmethod
   def over(view: Callable[[], torch.Tensor]) -> "TorchArray":

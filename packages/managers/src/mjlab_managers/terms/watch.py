@@ -1,8 +1,4 @@
-"""Observation of a trial call: use of scalars, reads on the host, and writes to undeclared memory.
-
-The module needs private names of torch that have no public form. `TorchDispatchMode` sees operations inside of torch,
-and `Tensor._version` counts the writes to a tensor. A test fails if a version of torch does not have them.
-"""
+"""Observation of a trial call: use of scalars, reads on the host, and writes to undeclared memory."""
 
 from __future__ import annotations
 
@@ -12,9 +8,9 @@ from typing import Any, Self
 
 import torch
 from mjlab_core import MjlabError, Stateful
+from mjlab_core.torch_internals import SEES_OPERATIONS, OperationMode, writes_to
 from torch.fx.node import map_aggregate
 from torch.overrides import TorchFunctionMode
-from torch.utils._python_dispatch import TorchDispatchMode
 
 
 class Watch(TorchFunctionMode):
@@ -33,8 +29,8 @@ class Watch(TorchFunctionMode):
 
   @property
   def reads_host(self) -> bool:
-    """True if a tensor was read on the host."""
-    return self._calls_host or self._inner.found
+    """True if a tensor was read on the host, or if that cannot be seen."""
+    return not SEES_OPERATIONS or self._calls_host or self._inner.found
 
   def __enter__(self) -> Self:
     self._inner.__enter__()
@@ -56,7 +52,7 @@ class Watch(TorchFunctionMode):
     return leaf
 
 
-class _HostReads(TorchDispatchMode):
+class _HostReads(OperationMode):
   """Observer of operations, also inside of torch, that copy a number to the host."""
 
   found = False
@@ -71,7 +67,7 @@ class _HostReads(TorchDispatchMode):
     return func(*args, **(kwargs or {}))
 
 
-class PlainTensors(TorchDispatchMode):
+class PlainTensors(OperationMode):
   """Mode that has operations work on plain tensors over the arrays of an engine, which a trace requires."""
 
   def __init__(self) -> None:
@@ -104,14 +100,10 @@ class PlainTensors(TorchDispatchMode):
 
 
 def _undeclared_memory(obj: Any) -> dict[str, tuple[int, int]]:
-  """Return address and number of writes of each tensor of a class term that is not declared as state.
-
-  Writes are counted only for memory that the term owns, not for views or arrays of a simulation.
-  """
+  """Return address and number of writes of each tensor of a class term that is not declared as state."""
   found: dict[str, tuple[int, int]] = {}
   for path, tensor in obj.undeclared().items() if isinstance(obj, Stateful) else ():
-    owned = type(tensor) is torch.Tensor and not tensor._is_view() and not tensor.is_inference()
-    found[path] = tensor.data_ptr(), tensor._version if owned else 0
+    found[path] = tensor.data_ptr(), writes_to(tensor)
   return found
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import torch
 from mjlab_actuators import ActuatorSet, Target, Transmission
 from mjlab_core import Index, Stateful, as_index, fill_, select, where_
+from mjlab_core.torch_internals import version_of
 
 from mjlab_scene.entities.indexing import EntityIndexing
 from mjlab_scene.entities.initial_state import InitialState
@@ -117,7 +118,7 @@ class Actuation(Stateful):
     if self._holds:
       # Within a decimation nothing is written twice. The first substep of a recording always writes, because each
       # replay starts from new targets.
-      version = self.position._version + self.velocity._version + self.effort._version
+      version = version_of(self.position) + version_of(self.velocity) + version_of(self.effort)
       written = [version, self._sim.is_capturing]
       if written == self._written:
         return

@@ -18,6 +18,7 @@ from mjlab_core import (
   quat_mul,
   where_,
 )
+from mjlab_core.torch_internals import version_of
 
 from mjlab_sensors.native._elements import add_sensor
 from mjlab_sensors.native.builtin import ObjRef
@@ -148,7 +149,7 @@ class ImuSensor(Sensor[ImuData], cfg=ImuSensorCfg):
     self._draw_direction(draw, place, quat_apply(turn, data.linear_acceleration[worlds]))
 
   def _version(self) -> int:
-    return sum(bias._version for bias in self._biases)
+    return sum(map(version_of, self._biases))
 
   def _read(self) -> ImuData:
     turn = quat_mul(self._orientation, quat_from_rotvec(self.orientation_bias))

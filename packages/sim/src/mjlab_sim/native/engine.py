@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import Contacts, MjlabError
+from mjlab_core.torch_internals import version_of
 from mujoco import batch
 
 from mjlab_sim.config import SimulationCfg
@@ -19,7 +20,7 @@ from mjlab_sim.native.contacts import NativeContacts
 from mjlab_sim.native.rays import NativeRayCaster, ground_model
 from mjlab_sim.rays import Rays, RayTargets
 from mjlab_sim.rendering import Draw, View
-from mjlab_sim.tensors import TorchArray, version_of
+from mjlab_sim.tensors import TorchArray
 
 if TYPE_CHECKING:
   from mjlab_sim.warp.rendering import Renderers

@@ -10,12 +10,13 @@ import numpy as np
 import torch
 import warp as wp
 from mjlab_core import ConfigError, Contacts, MjlabError, where_
+from mjlab_core.torch_internals import version_of
 
 from mjlab_sim.config import SimulationCfg
 from mjlab_sim.fields import CONSTANTS, owner_of
 from mjlab_sim.rays import Rays, RayTargets
 from mjlab_sim.rendering import Draw, View
-from mjlab_sim.tensors import TorchArray, version_of, versions
+from mjlab_sim.tensors import TorchArray, versions
 from mjlab_sim.warp import engine_kernels as kernels
 from mjlab_sim.warp import internals
 from mjlab_sim.warp.buffers import resize, starting_sizes

@@ -1,6 +1,6 @@
 """Repairs of viser, and all uses of its private names.
 
-Without these names, viser works without the repairs.
+The requirement is bounded to the `TESTED` minors. Another viser works without the repairs.
 
 Its way to wake the thread that sends: viser 1.1 sets an `asyncio.Event` in the thread that writes a message, and then
 asks the thread of the event loop to set it too. The first call is not safe: it goes through the waiters while the loop
@@ -15,19 +15,28 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import functools
+import importlib
 import types
 import zipfile
 from typing import Any
 
-from viser import _icons as icons
-from viser.infra import _async_message_buffer as buffers
+import viser
 
+TESTED = ("1.0", "1.1")
 PRIVATE_NAMES = {
-  "AsyncMessageBuffer": "it has the event, and `event_loop`, its loop",
-  "message_event": "only the thread of the loop may set it",
-  "_icons": "it opens the archive",
+  "viser.infra._async_message_buffer.AsyncMessageBuffer": "it has the event, and `event_loop`, its loop",
+  "viser._icons.zipfile": "it opens the archive of icons for each of them",
 }
 """Private names of viser that are used here, with the reason."""
+
+
+def _owner_of(name: str) -> Any:
+  """Return the private module that has a name; None if viser is of another minor, or has no such module."""
+  module = next(path for path in PRIVATE_NAMES if path.endswith(f".{name}")).rpartition(".")[0]
+  is_tested = viser.__version__.rpartition(".")[0] in TESTED
+  with contextlib.suppress(ImportError):
+    return importlib.import_module(module) if is_tested else None
+  return None
 
 
 class LoopEvent(asyncio.Event):
@@ -50,7 +59,7 @@ class LoopEvent(asyncio.Event):
 
 def repair_wakeup() -> None:
   """Give all servers from now on an event that only their loop sets."""
-  buffer: Any = getattr(buffers, "AsyncMessageBuffer", None)
+  buffer: Any = getattr(_owner_of("AsyncMessageBuffer"), "AsyncMessageBuffer", None)
   if buffer is not None and not hasattr(buffer, "message_event"):
     buffer.message_event = property(lambda self: self._loop_event, _set_event)
 
@@ -67,5 +76,5 @@ def _archive(path: Any) -> contextlib.nullcontext[zipfile.ZipFile]:
 
 def read_icons_once() -> None:
   """Keep the archive of icons open, instead of reading its list for each icon."""
-  if hasattr(icons, name := "zipfile"):
+  if hasattr(icons := _owner_of("zipfile"), name := "zipfile"):
     setattr(icons, name, types.SimpleNamespace(ZipFile=_archive))

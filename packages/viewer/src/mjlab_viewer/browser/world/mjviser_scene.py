@@ -22,6 +22,8 @@ PRIVATE_NAMES = {
   "_mjv_option": "it has no public flags for split contact forces and for visible groups of joints",
 }
 """Private names of `ViserMujocoScene` that are used here, with the reason."""
+PRIVATE_FUNCTIONS = {"_can_merge_vertices": "compares colors in Python, a tenth of the time until a page opens"}
+"""Private functions of `mjviser.conversions` that are replaced here, with the reason."""
 
 
 def _can_merge_vertices(mesh: trimesh.Trimesh) -> bool:
