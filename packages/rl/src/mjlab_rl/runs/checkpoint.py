@@ -105,8 +105,7 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
     try:
       state: Any = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
-      # torch uses these words for any file, also for a text.
-      if zipfile.is_zipfile(path) and ("weights_only" in str(error) or "Unsupported" in str(error)):
+      if "weights_only" in str(error) or "Unsupported" in str(error):
         raise FileError("holds objects other than tensors and plain values, not loaded") from error
       raise FileError(f"damaged or not a checkpoint ({printable(error, 200)})") from error
     wanted = [f"{name}_state_dict" for name in policies or ("actor",)]
@@ -121,11 +120,13 @@ def read_checkpoint(path: Path, *policies: str) -> dict[str, Any]:
 
 
 def _check_archive(path: Path) -> None:
-  """Refuse records that would unpack to more than the file holds."""
-  if zipfile.is_zipfile(path):
-    with zipfile.ZipFile(path) as archive:
-      if any(record.compress_type != zipfile.ZIP_STORED for record in archive.infolist()):
-        raise FileError("holds compressed records, which torch does not write")
+  """Refuse files of another kind, and records that would unpack to more than the file holds."""
+  # torch would tell the user to switch off `weights_only`, which keeps a file from running code.
+  if not zipfile.is_zipfile(path):
+    raise FileError("damaged or not a checkpoint")
+  with zipfile.ZipFile(path) as archive:
+    if any(record.compress_type != zipfile.ZIP_STORED for record in archive.infolist()):
+      raise FileError("holds compressed records, which torch does not write")
 
 
 def as_tensor(kind: type, value: Any) -> Any:
