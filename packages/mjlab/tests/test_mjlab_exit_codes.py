@@ -49,6 +49,8 @@ WRONG = [
   *((f"{command} {file} --nope 1", "--nope: no such option") for command, file in WITH_FILE.items()),
   ("trian", "command 'trian' does not exist. Nearest: train"),
   ("help trian", "Nearest: train"),
+  ("new", "error: nothing given. usage: new robot FILE"),
+  ("new robott", "Nearest: robot. All 2: robot, task. usage: new robot FILE"),
   ("demo --task lit", "demo 'lit' does not exist"),
   ("demo walk", f"'walk': not a flag; --task selects the policy: {', '.join(shipped())}\n"),
   ("list-envs --nope", "--nope: no such option"),

@@ -105,6 +105,6 @@ def run(words: list[str]) -> int:
   if kind in ("-h", "--help"):
     return max(new([kind]) for new in kinds.values())
   if kind not in kinds:
-    problem = unknown("kind", kind, kinds) if kind else "nothing given"
-    raise UsageError(f"{problem}. usage: {_ROBOT.usage}; {_TASK.usage}")
+    problem = unknown("kind", kind, kinds) if kind else "nothing given."
+    raise UsageError(f"{problem} usage: {_ROBOT.usage}; {_TASK.usage}")
   return kinds[kind](words[1:])
