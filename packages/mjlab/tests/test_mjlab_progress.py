@@ -4,6 +4,8 @@ import select
 import subprocess
 import sys
 
+import pytest
+
 WORK = """
 import sys
 from mjlab.cli.shared._progress import progress_bar
@@ -46,3 +48,26 @@ def test_a_terminal_shows_a_bar_with_remaining_time_and_results_stay_on_their_ow
   assert "ETA" in shown
   # The bar is gone when the work is done.
   assert shown.rpartition("\x1b[2K")[2].strip() == "the end"
+
+
+INTERRUPTED = """
+import signal, sys
+from mjlab.cli import main
+class Interrupt:
+  def find_spec(self, name, path=None, target=None):
+    if name == "trimesh.path":
+      sys.meta_path.remove(self)
+      signal.raise_signal(signal.SIGINT)
+sys.meta_path.insert(0, Interrupt())
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize(
+  "line", ["visualize-terrain flat", "play Mjlab-Cartpole-Balance --agent zero --viewer browser"]
+)
+def test_ctrl_c_while_a_page_is_imported_ends_the_command(line: str) -> None:
+  done = subprocess.run(
+    [sys.executable, "-c", INTERRUPTED, *line.split()], capture_output=True, text=True, timeout=120, check=False
+  )
+  assert (done.returncode, done.stdout.count("open http")) == (130, 0), done.stderr

@@ -12,6 +12,7 @@ from mjlab_core.names import check_name
 from mjlab_viewer import check_address
 
 from mjlab.cli.shared._command_line import CommandLine, PageArguments, as_usage, output_file, take
+from mjlab.cli.shared._progress import imported
 
 if TYPE_CHECKING:
   from mjlab_terrain import TerrainGridCfg, TileCfg
@@ -67,10 +68,9 @@ def _show(wanted: Arguments, names: list[str]) -> int:
   cfg = _grid(names, wanted)
   if wanted.image is not None:
     return _write_image(cfg, wanted)
-  from mjlab_terrain.view.page import serve
-
+  page = imported("mjlab_terrain.view.page")
   check_address(wanted.host, wanted.port)
-  serve(cfg, wanted.port, wanted.host)
+  page.serve(cfg, wanted.port, wanted.host)
   return 0
 
 

@@ -1,11 +1,13 @@
 """Progress of commands: a bar, and an end by Ctrl-C."""
 
+import importlib
 import signal
 import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from datetime import timedelta
+from typing import Any
 
 INTERVAL = 10.0
 """Time between two plain lines [s]."""
@@ -75,3 +77,12 @@ def stop_on_ctrl_c() -> Generator[list[int]]:
     yield stopped
   finally:
     signal.signal(signal.SIGINT, before)
+
+
+def imported(name: str) -> Any:
+  """Return a module, and raise a Ctrl-C after its import: trimesh catches one while it imports, and goes on."""
+  with stop_on_ctrl_c() as stopped:
+    module = importlib.import_module(name)
+  if stopped:
+    raise KeyboardInterrupt
+  return module

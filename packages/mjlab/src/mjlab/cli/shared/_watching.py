@@ -11,6 +11,8 @@ import mjlab_viewer
 from mjlab_rl import Console, IterationReport
 from mjlab_rl.reports.console import duration
 
+from mjlab.cli.shared._progress import imported
+
 if TYPE_CHECKING:
   from mjlab_viewer.browser.training_panel import TrainingPanel
 
@@ -21,7 +23,7 @@ def browse(playback: "mjlab_viewer.Playback", *, host: str, port: int, label: st
   Raises:
     MjlabError: The address or port is not available.
   """
-  with mjlab_viewer.BrowserViewer(
+  with imported("mjlab_viewer.browser.viewer").BrowserViewer(
     playback.env, playback=playback, host=host, port=port, label=label, **options
   ) as viewer:
     print(f"open {viewer.url} (Ctrl-C ends)", flush=True)
