@@ -188,12 +188,15 @@ class _Fit:
   def _evolve(self, residual: _Residual, x: np.ndarray, bounds: list[np.ndarray], report: _Report) -> np.ndarray:
     with from_extra("cma", "mjlab-sysid", "CMA-ES"):
       import cma
-    limits = [bound.tolist() for bound in bounds]
+    count = len(x)
+    # CMA-ES needs two dimensions: a single parameter gets a second one without effect.
+    start, *limits = (np.resize(values, max(count, 2)).tolist() for values in (x, *bounds))
     options = {"bounds": limits, "seed": self._cfg.seed + 1, "verbose": -9, "maxiter": self._cfg.iterations}
-    search = cma.CMAEvolutionStrategy(x.tolist(), 0.3, options)
+    search, best = cma.CMAEvolutionStrategy(start, 0.3, options), x
     while not search.stop():
       candidates = search.ask()
-      costs = 0.5 * np.square(residual(np.array(candidates).T)).sum(0)
+      costs = 0.5 * np.square(residual(np.array(candidates)[:, :count].T)).sum(0)
       search.tell(candidates, costs.tolist())
-      report(search.countiter, float(search.result.fbest), np.asarray(search.result.xbest))
-    return np.asarray(search.result.xbest)
+      best = np.asarray(search.result.xbest)[:count]
+      report(search.countiter, float(search.result.fbest), best)
+    return best
