@@ -6,7 +6,7 @@ import pytest
 import torch
 from mjlab_core.errors import ConfigError
 from mjlab_rl import MjlabOnPolicyRunner
-from rl_learners import agent, assert_resumes_exactly, runner
+from rl_learners import agent, assert_resumes_exactly, pretend_two_processes, runner
 
 
 def warming(warmup: int, class_name: str) -> MjlabOnPolicyRunner:
@@ -36,6 +36,17 @@ def test_the_actor_is_held_while_the_critic_learns_as_usual(class_name: str) -> 
   assert all(value.eq(0).all() for p in run.networks["actor"].parameters() for value in state[p].values())
   run.learn(1)
   assert not torch.equal(weights(run, "actor"), before)
+
+
+def test_the_normaliser_of_the_actor_is_held_in_runs_of_several_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+  pretend_two_processes(monkeypatch)
+  run = warming(1, "PPO")
+  before = weights(run, "actor")
+  run.learn(1)
+  assert torch.equal(weights(run, "actor"), before)
+  assert int(run.networks["critic"].state_dict()["obs_normalizer.count"]) > 0
+  run.learn(1)
+  assert int(run.networks["actor"].state_dict()["obs_normalizer.count"]) > 0
 
 
 def test_a_run_that_is_resumed_during_the_warmup_equals_an_uninterrupted_one(tmp_path: Path) -> None:

@@ -516,22 +516,22 @@ def test_the_environment_is_closed_when_training_fails() -> None:
   assert failing.is_closed
 
 
-@pytest.mark.parametrize("part", ["step", "update", "drain_log"])
+@pytest.mark.parametrize(("part", "done"), [("step", 2), ("update", 2), ("drain_log", 2), ("_averages.reduce", 3)])
 def test_a_failure_in_a_step_or_an_update_saves_an_emergency_checkpoint_first(
-  tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
+  tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str, done: int
 ) -> None:
   failing = runner(tmp_path, agent(), console=Console())
   failing.learn(2)
-  owner: Any = failing.alg if part == "update" else failing.env
-  setattr(owner, part, MagicMock(side_effect=ConfigError("event 'push': broken")))
+  owner: Any = {"update": failing.alg, "_averages.reduce": failing._averages}.get(part, failing.env)
+  setattr(owner, part.split(".")[-1], MagicMock(side_effect=ConfigError("event 'push': broken")))
   with pytest.raises(ConfigError, match="event 'push': broken"):
     failing.learn(2)
-  saved = tmp_path / "emergency_2.pt"
+  saved = tmp_path / f"emergency_{done}.pt"
   assert f"ConfigError in a step or update; saved {saved}, which --resume takes" in capsys.readouterr().out
   assert [path.name for path in checkpoints(tmp_path)] == ["model_2.pt"]
   resumed = runner(None, agent())
   resumed.load(str(saved))
-  assert resumed.current_learning_iteration == 2
+  assert resumed.current_learning_iteration == done
   resumed.learn(1)
 
 

@@ -135,9 +135,9 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
       while self.current_learning_iteration < end and self.stopped_by is None:
         with self._emergency_checkpoint():
           obs, own = self._iterate(obs)
+          self.current_learning_iteration = done = self.current_learning_iteration + 1
           # Ranks agree on the signal, so that they stop together.
           figures, received = self._averages.reduce(own, "SIGHUP" if self.ranks.is_orphan else stop.received)
-        self.current_learning_iteration = done = self.current_learning_iteration + 1
         self.patience.begin()
         running = time.perf_counter() - started
         self._elapsed = before + running
@@ -387,6 +387,8 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
     held = actor_held(self.alg) if self._is_warming_up else contextlib.nullcontext()
     with held, self._update_precision():
       losses = self.alg.update()
+    if self._is_warming_up:
+      self._averages.forget(self.networks["actor"])
     return losses | {"learning_rate": self.alg.learning_rate}
 
   def _update_precision(self) -> contextlib.AbstractContextManager[None]:

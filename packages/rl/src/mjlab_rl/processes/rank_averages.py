@@ -74,6 +74,10 @@ class RankAverages:
     means = {tag: total / times for tag, total, times in found if times}
     return means, next((name for name in SIGNALS if means.pop(name, None)), None)
 
+  def forget(self, network: MLPModel) -> None:
+    """Leave the normaliser of a network as it is in the next `reduce`."""
+    self._moments.pop(network.obs_normalizer, None)
+
   def _note(self, network: MLPModel, obs: TensorDict) -> None:
     """Keep the moments of this rank's observations about the mean so far, (3, dim), for `reduce`."""
     normalizer = network.obs_normalizer
