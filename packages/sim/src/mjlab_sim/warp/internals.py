@@ -4,8 +4,8 @@
 is used: constants and rays take public functions, which are slower.
 
 Two public ways are not taken; `tools/compare_warp_paths.py` measures both. `mjw.rays(rc=...)` excludes one body per
-ray, not a kinematic tree, and refits a tree of all geoms in every world before a cast. `opt.run_qacc_smooth=False`
-saves a factorisation per step, with the same motion, but leaves `qacc_smooth` stale.
+ray, not a kinematic tree, refits a tree of all geoms in every world before a cast, and misses where two boxes touch.
+`opt.run_qacc_smooth=False` saves a factorisation per step, with the same motion, but leaves `qacc_smooth` stale.
 """
 
 import contextlib
