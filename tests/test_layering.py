@@ -131,6 +131,12 @@ def test_private_names_are_used_in_one_module_per_library(member: Any) -> None:
   assert not stray, "\n".join(stray)
 
 
+def test_one_module_imports_matplotlib() -> None:
+  modules = [module for member in measure_source.members() for module in member.modules]
+  users = [m.name for m in modules if any(name.startswith("matplotlib") for _, name, _ in measure_source.imported(m))]
+  assert users == ["mjlab_core.io.figures"]
+
+
 def test_there_are_few_exception_classes_and_protocols() -> None:
   modules = [module for member in measure_source.members() for module in member.modules]
   errors = [name for module in modules for name in measure_source.exception_classes(module)]

@@ -157,7 +157,7 @@ def test_pictures_show_each_group_without_missing_values(tmp_path: Path) -> None
     groups=groups, curves={"error": lines, "playing": lines}, units={"time": "s", "error": "m"}
   )
   with pytest.MonkeyPatch.context() as patched:
-    patched.setattr(_plots, "Figure", Seen)
+    patched.setattr("matplotlib.figure.Figure", Seen)
     _plots.plot_groups(found, tmp_path / "groups.png")
     _plots.plot_curves(found, tmp_path / "curves.png")
   for name in ("groups", "curves"):

@@ -6,15 +6,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 from mjlab_actuators.models.network_file import ACTIVATIONS, Activation
 from mjlab_core.constraints import Items, Limits, Positive, PositiveCount, check_fields
 from mjlab_core.errors import MjlabError
+from mjlab_core.io import figures
 from mjlab_core.io.files import AtomicWrite
-from mjlab_core.lazy import from_extra
 
 from mjlab_sysid.data.records import Record, uniform
 from mjlab_sysid.motors.motor_model import MotorModel, fit_motor_model, fit_pd
@@ -93,11 +93,10 @@ class MotorFit:
     Raises:
       ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
+    with figures.figure(path, (11.0, 3.6), package="mjlab-sysid", dpi=120) as drawn:
+      self._plot(*drawn.subplots(1, 3))
 
-    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
-    errors, efforts, scatter = figure.subplots(1, 3)
+  def _plot(self, errors: Any, efforts: Any, scatter: Any) -> None:
     epochs = [point.epoch for point in self.curve]
     errors.semilogy(epochs, [point.train_error for point in self.curve], label="train")
     errors.semilogy(epochs, [point.held_out_error for point in self.curve], label="held out")
@@ -116,8 +115,6 @@ class MotorFit:
     ends = [min(measured.min(), learned.min()), max(measured.max(), learned.max())]
     scatter.plot(ends, ends, color="black", linewidth=0.8)
     scatter.set(title="held-out effort", xlabel="measured", ylabel="learned")
-    with AtomicWrite(path) as temporary:
-      figure.savefig(temporary, format="png", dpi=120)
 
   def config(self, network_file: str | Path) -> str:
     """Return the Python of a config that loads this network."""
@@ -133,8 +130,7 @@ def require_matplotlib() -> None:
   Raises:
     ModuleNotFoundError: matplotlib is not installed; the message says how to get it.
   """
-  with from_extra("plot", "mjlab-sysid", "a plot"):
-    import matplotlib as mpl  # noqa: F401
+  figures.require_matplotlib("mjlab-sysid")
 
 
 def fit_motor(

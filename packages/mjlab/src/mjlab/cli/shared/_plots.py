@@ -1,8 +1,8 @@
 """Plots of evaluations, of inspected events and of sweeps."""
 
 import math
-from collections.abc import Generator, Iterable, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import mjlab_rl
 import numpy as np
 import torch
-from matplotlib import colormaps, rc_context
-from matplotlib.figure import Figure
-from mjlab_core import AtomicWrite, matrix_from_quat
+from mjlab_core import matrix_from_quat
+from mjlab_core.io.figures import figure, require_matplotlib
 from mjlab_dr import LogUniform
 
 if TYPE_CHECKING:
@@ -31,18 +30,12 @@ _STYLE: Any = {
   "axes.spines.top": False,
   "axes.spines.right": False,
   "grid.alpha": 0.3,
-  "savefig.dpi": 110,
-  "figure.constrained_layout.use": True,
 }
 
 
-@contextmanager
-def _figure(path: Path, width: float, height: float) -> Generator[Figure]:
-  """Yield a new figure in our style, and write it at the end; sizes are in inches."""
-  with rc_context(_STYLE), AtomicWrite(path) as temporary:
-    figure = Figure(figsize=(width, height))
-    yield figure
-    figure.savefig(temporary)
+def _figure(path: Path, width: float, height: float) -> AbstractContextManager[Any]:
+  """Return a context of a new figure in our style, which is written at the end; sizes are in inches."""
+  return figure(path, (width, height), package="mjlab", dpi=110, style=_STYLE)
 
 
 def _with_unit(evaluation: "mjlab_rl.Evaluation", metric: str, gap: str) -> str:
@@ -54,8 +47,8 @@ def plot_groups(evaluation: "mjlab_rl.Evaluation", path: Path) -> None:
   """Plot each metric of each group as a point with its interval."""
   groups = list(evaluation.groups)[:MOST_GROUPS]
   metrics = list(evaluation.groups["all"])
-  with _figure(path, 2.6 * len(metrics), 1.1 + 0.34 * len(groups)) as figure:
-    panels = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+  with _figure(path, 2.6 * len(metrics), 1.1 + 0.34 * len(groups)) as drawn:
+    panels = drawn.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
     rows = np.arange(len(groups))
     for panel, metric in zip(panels, metrics, strict=True):
       intervals = [evaluation.groups[group][metric] for group in groups]
@@ -73,8 +66,8 @@ def plot_groups(evaluation: "mjlab_rl.Evaluation", path: Path) -> None:
 
 def plot_curves(evaluation: "mjlab_rl.Evaluation", path: Path) -> None:
   """Plot each curve over the seconds of an episode, one line for each group."""
-  with _figure(path, 8.0, 1.7 * len(evaluation.curves) + 0.4) as figure:
-    panels = figure.subplots(len(evaluation.curves), sharex=True, squeeze=False)[:, 0]
+  with _figure(path, 8.0, 1.7 * len(evaluation.curves) + 0.4) as drawn:
+    panels = drawn.subplots(len(evaluation.curves), sharex=True, squeeze=False)[:, 0]
     for panel, (metric, by_group) in zip(panels, evaluation.curves.items(), strict=True):
       shown = [name for name in by_group if name != "all" or len(by_group) == 1]
       for name in shown[:MOST_GROUPS]:
@@ -101,11 +94,11 @@ def plot_inspection(reports: "list[EventReport]", inertia: "InertiaReport", titl
   drawings = drawings[:_MOST_PANELS]
   columns = min(5, max(1, len(drawings)))
   lines = max(1, math.ceil(len(drawings) / columns))
-  with _figure(path, 3.4 * columns, 2.7 * lines + 0.5) as figure:
+  with _figure(path, 3.4 * columns, 2.7 * lines + 0.5) as drawn:
     for number, draw in enumerate(drawings, 1):
-      draw(figure.add_subplot(lines, columns, number))
+      draw(drawn.add_subplot(lines, columns, number))
     more = f" ({left_out} more panels left out)" if left_out > 0 else ""
-    figure.suptitle(f"{title}: grey as asked, blue as drawn{more}")
+    drawn.suptitle(f"{title}: grey as asked, blue as drawn{more}")
 
 
 def _draw_axis(panel: Any, report: "EventReport", axis: "AxisReport", asked: "Distribution") -> None:
@@ -159,16 +152,17 @@ def plot_trials(
   """Plot trials as lines over parallel axes, one for each value and one for the reward, which is also the color."""
   named = {**columns, "reward": rewards}
   heights = np.zeros((len(named), len(rewards)))
-  with _figure(path, 1.6 + 1.9 * len(named), 4.6) as figure:
-    panel = figure.subplots()
+  with _figure(path, 1.6 + 1.9 * len(named), 4.6) as drawn:
+    panel = drawn.subplots()
     for place, (name, values) in enumerate(named.items()):
       heights[place], ticks = _heights(values, name in logarithmic)
       panel.axvline(place, color="black", linewidth=0.8)
       for label, height in ticks.items():
         panel.annotate(f" {label}", (place, height), va="center")
+    shade = require_matplotlib("mjlab").colormaps["viridis"]
     # The best trial is drawn last.
     for trial in np.argsort(np.nan_to_num(rewards, nan=-np.inf)):
-      panel.plot(heights[:, trial], color=colormaps["viridis"](heights[-1, trial]), alpha=0.8)
+      panel.plot(heights[:, trial], color=shade(heights[-1, trial]), alpha=0.8)
     panel.set_xticks(range(len(named)), list(named))
     panel.set_yticks([])
     panel.set_xlim(-0.1, len(named) - 0.55)
