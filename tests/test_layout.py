@@ -105,6 +105,23 @@ def test_readme_has_an_example_and_a_test_runs_it(member: Path) -> None:
   assert runs, "no test runs the example"
 
 
+@each_member
+def test_readme_has_an_introduction_the_install_command_and_a_first_example(member: Path) -> None:
+  introduction, *rest = re.split(r"^## ", (member / "README.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
+  assert [line for line in introduction.splitlines()[1:] if line]
+  assert [part.splitlines()[0] for part in rest[:2]] == ["Install", "First example"]
+
+
+@each_member
+def test_module_tables_name_modules_that_exist(member: Path) -> None:
+  tables = re.findall(
+    r"^\| module \|.*\n\|[-|]+\n((?:\|.*\n)+)", (member / "README.md").read_text(encoding="utf-8"), re.MULTILINE
+  )
+  cells = [row.split("|")[1] for table in tables for row in table.splitlines()]
+  named = [name for cell in cells for name in re.findall(r"`([\w/.]+)`", cell)]
+  assert [name for name in named if not list(module_folder(member).glob(f"{name.removesuffix('.py')}*"))] == []
+
+
 def test_names_of_test_files_are_unique() -> None:
   counts = Counter(path.name for folder in (*MEMBERS, ROOT) for path in (folder / "tests").rglob("test_*.py"))
   assert [name for name, count in counts.items() if count > 1] == []

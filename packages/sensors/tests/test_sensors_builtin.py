@@ -13,7 +13,7 @@ from mjlab_sim import Simulation
 from scipy.spatial.transform import Rotation
 from sensor_scenes import simulate, with_robot
 
-README = Path(__file__).parents[1] / "README.md"
+REFERENCE = Path(__file__).parents[1] / "REFERENCE.md"
 ROBOT = """
 <mujoco>
   <default><geom contype="0" conaffinity="0"/></default>
@@ -155,7 +155,7 @@ def test_every_sensor_type_equals_the_same_sensor_in_mjcf(engine: Any) -> None:
     assert expected.any(), f"{kind} reads nothing"
 
 
-def test_the_table_has_every_type_of_mujoco_and_the_readme_shows_it() -> None:
+def test_the_table_has_every_type_of_mujoco_and_the_reference_shows_it() -> None:
   assert {kind.enum for kind in NATIVE_TYPES.values()} == set(mujoco.mjtSensor.__members__.values())
   assert len(NATIVE_TYPES) == len(mujoco.mjtSensor.__members__)
   declared = set(get_args(SensorType))
@@ -174,7 +174,7 @@ def test_the_table_has_every_type_of_mujoco_and_the_readme_shows_it() -> None:
     numbers = "settings" if name in ("rangefinder", "tactile") else numbers
     cells = f"`{name}`{how}", ", ".join(kind.objects), relative, numbers, kind.frame, kind.unit, stage
     rows.append(f"| {' | '.join(str(cell) or '-' for cell in cells)} |")
-  assert "\n".join(rows) in README.read_text(), "\n".join(rows)
+  assert "\n".join(rows) in REFERENCE.read_text(), "\n".join(rows)
 
 
 def test_readings_turn_with_the_world_as_their_frame_says() -> None:
