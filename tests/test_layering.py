@@ -152,11 +152,11 @@ def test_the_measure_finds_circles_of_type_hints_and_private_names(tmp_path: Pat
   (folder / "a.py").write_text(
     "from mjlab_x import b\nimport torch\ntorch._C.f()\nclass C:\n  def f(self, x):\n    self._version = x._version\n"
   )
-  (folder / "b.py").write_text("def f():\n  from mjlab_x.c import _hidden\n")
+  (folder / "b.py").write_text("def f():\n  from mjlab_x.c import _hidden\n  import_module('triton._C.libtriton')\n")
   (folder / "c.py").write_text(
     "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n  from mjlab_x.a import A\n_hidden = 1\n"
   )
   member = measure_source.Member("x", tmp_path)
   assert measure_source.import_circles(member) == [["mjlab_x.a", "mjlab_x.b", "mjlab_x.c"]]
   found = {name for _, _, _, name in measure_source.private_names(member)}
-  assert found == {"torch._C", "x._version", "mjlab_x.c._hidden"}
+  assert found == {"torch._C", "x._version", "mjlab_x.c._hidden", "triton._C.libtriton"}

@@ -227,6 +227,11 @@ def private_names(member: Member) -> list[tuple[Module, int, str, str]]:
         found.append((module, line, top, ".".join(parts)))
       packages[(name or source).partition(".")[0]] = top
     for node in module.nodes:
+      if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        named = node.args[0].value if isinstance(node.args[0], ast.Constant) else ""
+        top, *rest = str(named).split(".")
+        if top != member.package and any(map(_is_private, rest)):
+          found.append((module, node.lineno, top, str(named)))
       if not isinstance(node, ast.Attribute) or not _is_private(node.attr):
         continue
       is_of_tensor = node.attr in OF_TENSORS and ast.unparse(node.value) not in ("self", "cls")

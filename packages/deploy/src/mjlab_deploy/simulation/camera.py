@@ -136,4 +136,4 @@ def _opengl(width: int, height: int) -> Any:
 def _load_triton() -> None:
   # Software OpenGL and torch's compiler both bring an LLVM, and a Triton that is loaded after OpenGL's crashes.
   with contextlib.suppress(ImportError):
-    importlib.import_module("triton._C.libtriton")
+    importlib.import_module("triton")

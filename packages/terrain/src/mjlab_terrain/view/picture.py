@@ -73,7 +73,7 @@ def render(
 def _load_triton() -> None:
   # Software OpenGL and torch's compiler both bring an LLVM, and a Triton that is loaded after OpenGL's crashes.
   with contextlib.suppress(ImportError):
-    importlib.import_module("triton._C.libtriton")
+    importlib.import_module("triton")
 
 
 def _add_names(scene: mujoco.MjvScene, terrain: Terrain) -> None:

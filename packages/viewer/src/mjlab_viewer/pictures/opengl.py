@@ -52,4 +52,4 @@ def _load_triton() -> None:
   # Software OpenGL and torch's compiler both bring an LLVM. OpenGL's is visible to the whole process, and a Triton that
   # is loaded after it crashes; in the other order both work.
   with contextlib.suppress(ImportError):
-    importlib.import_module("triton._C.libtriton")
+    importlib.import_module("triton")
