@@ -68,13 +68,19 @@ def _verify(arguments: argparse.Namespace) -> int:
 
 
 def _numbers(text: str) -> list[float]:
-  return [float(word) for word in text.split(",")]
+  try:
+    return [float(word) for word in text.split(",")]
+  except ValueError as error:
+    raise argparse.ArgumentTypeError(f"expected numbers such as 0.5,0,0, got {text!r}") from error
 
 
 def _seconds(text: str) -> float:
-  value = float(text[:-2]) / 1000.0 if text.endswith("ms") else float(text.removesuffix("s"))
+  try:
+    value = float(text[:-2]) / 1000.0 if text.endswith("ms") else float(text.removesuffix("s"))
+  except ValueError:
+    value = -1.0
   if not 0.0 <= value <= 1.0:
-    raise ValueError(text)
+    raise argparse.ArgumentTypeError(f"expected 0 to 1 s, such as 10ms, got {text!r}")
   return value
 
 
