@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from deploy_bundles import DESCRIPTION, HINGE, SCENE, write_bundle
 from mjlab_deploy import DeployError, open_bundle
-from mjlab_deploy.formats.unitree import MODELS, UnitreeRobot, connect
 from mjlab_deploy.robot.robot_io import RobotCommand
 from mjlab_deploy.robot.runner import Runner
+from mjlab_deploy.robot.unitree import MODELS, UnitreeRobot, connect
 from mjlab_deploy.simulation.loopback import LoopbackRobot
 
 ROBOTS = pytest.mark.parametrize("model", MODELS)

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mjlab_deploy.formats.unitree import MODELS, connect
 from mjlab_deploy.robot.robot_io import RobotCommand
+from mjlab_deploy.robot.unitree import MODELS, connect
 
 PACKAGE = "unitree_sdk2py"
 pytest.importorskip("cyclonedds", exc_type=ImportError)
