@@ -264,6 +264,7 @@ def test_every_command_is_installed_and_documented_and_each_flag_has_one_line_wi
     assert cli.main([name, "--help"]) == 0
     text = capsys.readouterr().out
     assert f"usage: {name} " in text
+    assert "  " not in text.partition("flags:")[0], name
     for flag in re.findall(r"`(--[\w-]+)`", cells):
       assert f"  {flag} " in (playing if name == "demo" else text), (name, flag)
     lines = [line for line in text.partition("flags:\n")[2].partition("  --help")[0].splitlines() if "  --" in line]

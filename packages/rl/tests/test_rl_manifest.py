@@ -208,6 +208,7 @@ def test_the_newest_run_with_a_checkpoint_is_the_latest(tmp_path: Path) -> None:
     assert find_checkpoint(run, log_root=tmp_path, experiment="exp") == newest
   for run, experiment, message in (
     ("2025", "exp", "newest runs: 2026-01-02"),
+    ("2025", "", "newest runs: exp/2026-01-02_00-00-00, exp/2026-01-01_00-00-00$"),
     ("latest", "other", "no run with a checkpoint"),
     (str(tmp_path / "exp"), "exp", r"exp has no checkpoint; the newest run in it .*2026-01-01_00-00-00$"),
   ):

@@ -50,15 +50,15 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
     run: A checkpoint file, a run directory, the name of a run of the experiment, or "latest": the newest run of the
       experiment that has a checkpoint and is of `task`. A directory stands for its newest checkpoint.
     log_root: Folder of all experiments.
-    experiment: Folder of this one, below it.
+    experiment: Folder of this one, below it; empty: all experiments.
     task: Task of the latest run; None: any. A run without a manifest counts as of any task.
 
   Raises:
     UnknownNameError: Nothing fits.
   """
-  folder = log_root / safe_name(experiment)
+  folder, pattern = (log_root / safe_name(experiment), "*") if experiment else (log_root, "*/*")
   if run == "latest":
-    trained = _trained_runs(folder)
+    trained = _trained_runs(folder, pattern)
     for directory, newest in trained.items():
       if task is None or manifest_entry(directory, "task") in (task, None):
         return newest
@@ -74,7 +74,7 @@ def find_checkpoint(run: str, *, log_root: Path, experiment: str, task: str | No
       inside = next(iter(_trained_runs(candidate)), None)
       newest = "" if inside is None else f"; the newest run in it that has one is {inside}"
       raise UnknownNameError(f"run {candidate} has no checkpoint{newest}")
-  names = ", ".join(path.name for path in _runs(folder)[:5]) or "none"
+  names = ", ".join(path.relative_to(folder).as_posix() for path in _runs(folder, pattern)[:5]) or "none"
   raise UnknownNameError(f"'{run}' is neither a checkpoint nor a run of {folder}; newest runs: {names}")
 
 
@@ -84,14 +84,14 @@ def find_launch(launch: str, *, log_root: Path, experiment: str) -> Path | None:
   return next((newest for run, newest in runs.items() if manifest_entry(run, "launch") == launch), None)
 
 
-def _runs(folder: Path) -> list[Path]:
-  """Return the folders in a folder, the newest run first."""
-  return sorted((path for path in folder.glob("*") if path.is_dir()), key=_age, reverse=True)
+def _runs(folder: Path, pattern: str) -> list[Path]:
+  """Return the folders that match a pattern, the newest run first."""
+  return sorted((path for path in folder.glob(pattern) if path.is_dir()), key=_age, reverse=True)
 
 
-def _trained_runs(folder: Path) -> dict[Path, Path]:
-  """Return the newest checkpoint of each run in a folder that has one, the newest run first."""
-  return {run: found[-1] for run in _runs(folder) if (found := checkpoints(run))}
+def _trained_runs(folder: Path, pattern: str = "*") -> dict[Path, Path]:
+  """Return the newest checkpoint of each matching run that has one, the newest run first."""
+  return {run: found[-1] for run in _runs(folder, pattern) if (found := checkpoints(run))}
 
 
 def _age(directory: Path) -> tuple[str, int]:

@@ -53,6 +53,7 @@ def help_text(usage: str, purpose: str, rows: Sequence[FlagRow], *, notes: str =
     rows: The flags.
     notes: Text below the flags.
   """
+  purpose = " ".join(purpose.split())
   lines = [f"usage: {usage}", "", *textwrap.wrap(purpose, _WIDTH), *([""] if purpose else []), "flags:"]
   for row in [*rows, FlagRow("help", "", "", "Show this text.")]:
     lead = " ".join(part for part in (f"  --{row.name}", row.choices, row.default and f"[{row.default}]") if part)
