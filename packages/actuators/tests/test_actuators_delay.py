@@ -91,7 +91,9 @@ EVERY_INPUT = ("position_target", "velocity_target", "effort_target")
 def test_a_constant_lag_shifts_the_targets_by_that_many_substeps(
   cfg: ActuatorCfg, fields: tuple[str, ...], lag: int
 ) -> None:
-  actuators = make(replace(cfg, delay_min_lag=lag, delay_max_lag=lag))
+  # Different gains show which target is which in a sum.
+  gains = {"stiffness": 0.5, "damping": 2.0} if isinstance(cfg, SUMMING) else {}
+  actuators = make(replace(cfg, delay_min_lag=lag, delay_max_lag=lag, **gains))
 
   def rows(value: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     # The hundreds show which target is which.
@@ -103,7 +105,7 @@ def test_a_constant_lag_shifts_the_targets_by_that_many_substeps(
   for k in range(8):
     late = k - lag if k >= lag else -1
     served = [100.0 * (1 + EVERY_INPUT.index(field)) + late for field in fields]
-    wanted = [sum(served)] if isinstance(cfg, SUMMING) else served
+    wanted = [0.5 * served[0] + 2.0 * served[1] + served[2]] if isinstance(cfg, SUMMING) else served
     assert actuators.compute(*rows(float(k)), zero, zero)[0].tolist() == 2 * wanted
 
 
@@ -127,6 +129,7 @@ def test_reset_starts_from_the_given_pose_and_leaves_other_worlds_bit_identical(
   assert torch.equal(without[:, ~mask], with_reset[:, ~mask])
   unit = 3.0 if kind in SUMMING else 1.0
   assert torch.all(with_reset[0, mask] == unit * 100.0)
+  assert not (without == unit * 100.0).any()
 
 
 def test_the_lag_stays_within_bounds_in_every_substep_of_every_episode() -> None:

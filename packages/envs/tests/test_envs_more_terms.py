@@ -1,5 +1,6 @@
 """Terms about power, mounted sensors, touch, and tiles of a terrain, against NumPy."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
@@ -58,6 +59,16 @@ def test_gravity_is_seen_in_the_axes_of_the_sensor(make: Make, engine: str) -> N
   seen = observations.double().cpu().numpy()
   np.testing.assert_allclose(seen[:, -6:-3], expected, atol=1e-5)
   np.testing.assert_allclose(seen[:, -3:], expected, atol=1e-5)
+
+
+def test_substeps_with_a_strong_contact_are_counted_once() -> None:
+  history = torch.zeros(2, 3, 4, 3)
+  history[0, :, 1, 2] = 11.0
+  history[0, 0, 3] = 6.0
+  history[1, 2, :, 0] = 9.0
+  env: Any = SimpleNamespace(scene={"touch": SimpleNamespace(data=SimpleNamespace(force_history=history))})
+  assert mdp.contact_count(env, sensor="touch").tolist() == [2.0, 0.0]
+  assert mdp.illegal_contact(env, sensor="touch").tolist() == [True, False]
 
 
 def test_any_contact_counts_without_a_threshold_and_without_a_history(make: Make) -> None:

@@ -92,12 +92,15 @@ def test_a_height_scan_is_the_height_of_its_frame_and_says_what_it_misses(make: 
     start_height=1.0,
     geom_groups=(0,),
   )
+  # The ground is higher than the world's origin.
+  box = {"type": mujoco.mjtGeom.mjGEOM_BOX, "size": [50.0, 50.0, 0.05], "pos": [0.0, 0.0, 0.05]}
+  cfg.scene.spec_fn = lambda spec: spec.worldbody.add_geom(**box)
   cfg.observations["critic"].terms["scan"] = ObservationTermCfg(mdp.height_scan, params={"sensor": "scan"})
   env = make(cfg)
   assert env.reset()[0]["critic"].shape == (4, 9 + 6)
   env.sim.data.qpos[3, 2] += 10.0
   height = numbers(env, "xpos")[:, [env.sim.mj_model.body(f"robot/{name}").id for name in ("shank", "trunk")], 2]
-  expected = np.repeat(height, 2, axis=1)
+  expected = np.repeat(height - 0.1, 2, axis=1)
   expected[3] = 3.0
   outer = [0, 2, 3, 5]
   np.testing.assert_allclose(observed(env, mdp.height_scan, sensor="scan")[:, outer], expected, atol=1e-6)
@@ -343,7 +346,7 @@ def test_leaning_and_sinking_end_an_episode(env: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-@pytest.mark.parametrize("field", ["qpos", "qvel"])
+@pytest.mark.parametrize("field", ["qpos", "qvel", "qacc"])
 def test_worlds_that_are_not_finite_are_detected(env: ManagerBasedRlEnv, field: str, value: float) -> None:
   assert not mdp.nan_detection(env).any()
   getattr(env.sim.data, field)[2, 3] = value
@@ -379,11 +382,24 @@ def test_roots_are_spread_uniformly_about_the_default_state(make: Make) -> None:
   np.testing.assert_allclose(velocity[:, [0, 2]], 0.0, atol=1e-12)
 
 
+def test_the_drawn_turn_of_a_root_is_about_its_own_axes(make: Make) -> None:
+  params = {"pose_range": {"roll": (0.5, 0.5)}}
+  cfg = hopper_cfg(events={"event": EventTermCfg(mdp.reset_root_state_uniform, mode="reset", params=params)})
+  cfg.scene.entities["robot"].init_state.rot = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
+  turn = Rotation.from_euler("z", 90, degrees=True).inv() * rotation(make(cfg))
+  np.testing.assert_allclose(turn.as_rotvec(), [[0.5, 0.0, 0.0]] * 4, atol=1e-9)
+
+
 def test_joints_are_spread_about_the_default_pose_inside_their_limits(make: Make) -> None:
-  env = reset_by(make, 200, mdp.reset_joints_by_offset, position_range=(-1.0, 1.0), velocity_range=(-2.0, 2.0))
+  params = {"position_range": (-1.0, 1.0), "velocity_range": (-2.0, 2.0)}
+  term = EventTermCfg(mdp.reset_joints_by_offset, mode="reset", params=params)
+  cfg = hopper_cfg(num_envs=200, events={"event": term})
+  cfg.scene.entities["robot"].init_state.joint_vel = {".*": 9.0}
+  env = make(cfg)
   q, v = numbers(env, "qpos")[:, 7:], numbers(env, "qvel")[:, 6:]
   assert (q.min(0) >= [-0.8 - 1e-9, -1.4 - 1e-9]).all()
   np.testing.assert_allclose(q.max(0), [0.9, 0.4], atol=1e-9)
+  assert v.mean() == pytest.approx(9.0, abs=0.3)
   assert v.std() == pytest.approx(4.0 / np.sqrt(12.0), rel=0.1)
 
 

@@ -105,6 +105,9 @@ def test_worlds_for_which_no_time_passed_keep_their_timer(env):
   manager, fired = interval(env, 0.02, 0.02)
   manager.apply("interval", ~env.mask(3))
   assert fired.masks == [[True, True, True, False]]
+  manager, fired = interval(env, 0.0, 0.0)
+  manager.apply("interval", ~env.mask(3))
+  assert fired.masks == [[True, True, True, False]]
 
 
 @pytest.mark.usefixtures("nothing_skipped")

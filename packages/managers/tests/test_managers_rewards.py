@@ -49,6 +49,8 @@ def test_the_log_is_the_mean_over_all_episodes_of_the_interval_and_nan_without_a
   assert str(logged(manager)["Episode_Reward/column"]) == "nan"
   manager.reset(env.mask(1))
   manager.reset(env.mask(2, 3))
+  env.episode_length_buf[0] = 0
+  manager.reset(env.mask(0))
   assert logged(manager)["Episode_Reward/column"] == pytest.approx((5 + 10 + 15) / 3 * env.step_dt)
   manager.clear_log()
   assert str(logged(manager)["Episode_Reward/column"]) == "nan"

@@ -90,9 +90,9 @@ def test_the_scene_has_one_keyframe_that_puts_every_entity_at_its_default(make_w
 
 def test_initial_velocity_of_the_keyframe_turns_with_the_base(make_worlds: MakeWorlds) -> None:
   text = '<mujoco><worldbody><body><freejoint/><geom size=".1"/></body></worldbody></mujoco>'
-  start = {"rot": (0.0, 1.0, 0.0, 0.0), "ang_vel": (0.1, 0.2, 0.3)}
+  start = {"rot": (0.5, 0.5, 0.5, 0.5), "ang_vel": (0.1, 0.2, 0.3)}
   scene, sim = make_worlds(cfg=SceneCfg(entities={"robot": entity(text, **start)}))
-  assert scene.compile().key("init_state").qvel[3:].tolist() == pytest.approx([0.1, -0.2, -0.3])
+  assert scene.compile().key("init_state").qvel[3:].tolist() == pytest.approx([0.2, 0.3, 0.1])
   torch.testing.assert_close(scene["robot"].data.root_link_ang_vel_w[0], torch.tensor([0.1, 0.2, 0.3]).to(sim.dtype))
 
 

@@ -182,12 +182,14 @@ def test_limits_are_the_models_and_soft_limits_narrow_them_about_the_middle(movi
 
 
 def test_limits_and_gravity_follow_their_randomisation(make_worlds) -> None:
-  scene, sim = make_worlds(2, robot=EVERYTHING)
+  articulation = EntityArticulationCfg(soft_joint_pos_limit_factor=0.8)
+  scene, sim = make_worlds(2, robot=entity(EVERYTHING, articulation=articulation))
   data = scene["robot"].data
   sim.expand_model_fields(["jnt_range", "opt.gravity"])
   hip = sim.mj_model.joint("robot/hip").id
   sim.model.jnt_range[1, hip] = torch.tensor([-0.5, 0.5], dtype=sim.dtype)
   _same(data.joint_pos_limits[:, 1], [np.deg2rad([-60, 30]), [-0.5, 0.5]])
+  _same(data.soft_joint_pos_limits[:, 1], [np.deg2rad([-51, 21]), [-0.4, 0.4]])
   sim.model.opt.gravity[1] = torch.tensor([-9.81, 0.0, 0.0], dtype=sim.dtype)
   _same(data.gravity_vec_w, [[0, 0, -1], [-1, 0, 0]])
   _same(data.projected_gravity_b, [[0, 0, -1], [-1, 0, 0]])

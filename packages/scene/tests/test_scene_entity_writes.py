@@ -123,6 +123,8 @@ def test_default_state_of_ball_hinge_and_slide_joints_round_trips(make_worlds: M
   assert data.joint_pos.tolist() == [[0.1, 0.0, 1.0, 0.0, 0.0, 0.3]] * 3
   assert data.joint_vel.tolist() == [[0.0, 1.0, 2.0, 3.0, 0.0]] * 3
   assert torch.equal(data.joint_pos_biased, data.joint_pos)
+  data.encoder_bias.fill_(0.01)
+  assert torch.equal(data.joint_pos_biased, data.joint_pos + 0.01)
 
 
 @pytest.mark.parametrize("wrong", [[False, True], torch.tensor([False, True]), [0.0, 1.0], torch.ones(2)], ids=str)

@@ -125,6 +125,23 @@ def test_a_reset_then_writes_then_reads_cost_one_forward(sim: Simulation, count_
   assert len(forwards) == 1
 
 
+def test_shared_constants_are_those_of_the_recomputed_worlds(make_sim: MakeSim) -> None:
+  sim = make_sim("native")
+  before = sim.model.body_invweight0.clone()
+  sim.model.body_mass.mul_(2.0)
+  sim.recompute_constants(torch.tensor([False, True, False, False]))
+  of_one = sim.model.body_invweight0.clone()
+  sim.recompute_constants()
+  assert torch.equal(of_one, sim.model.body_invweight0)
+  assert not torch.equal(of_one, before)
+
+
+def test_a_reset_of_worlds_in_their_initial_state_keeps_their_positions(sim: Simulation) -> None:
+  before = sim.data.xpos.clone()
+  sim.reset(torch.tensor([True, False, False, True]))
+  assert torch.equal(sim.data.xpos, before)
+
+
 def test_accelerations_are_those_of_the_substep_through_writes_and_resets(sim: Simulation) -> None:
   scatter(sim)
   for _ in range(3):
