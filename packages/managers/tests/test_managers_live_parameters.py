@@ -172,6 +172,12 @@ class TestForm:
     with pytest.raises(ConfigError, match=r"class Event does not have [^$]*__call__\(self, mask\)"):
       EventManager({"e": EventTermCfg(Event, mode="reset", params={"factor": 1.0})}, env)
 
+  def test_an_object_whose_reset_would_never_be_called(self, env):
+    with pytest.raises(
+      ConfigError, match=r"func is an object of Peak, and its reset would never be called; give the cl"
+    ):
+      rewards(env, Peak(env, factor=1.0))
+
   def test_commands_actions_and_recorders(self, env):
     class ResetGoal(Goal):
       def reset(self, env_ids: torch.Tensor) -> None: ...  # type: ignore

@@ -285,6 +285,8 @@ def _form_problem(func: Any, base: type, *, masked: bool) -> str:
     return f"func {func!r} is not callable."
   if isinstance(func, type):
     return _class_problem(func, base, masked=masked)
+  if hasattr(func, "reset"):
+    return f"func is an object of {type(func).__name__}, and its reset would never be called; give the class."
   if base is not ManagerTermBase:
     return f"func must be a subclass of {base.__name__}, is {func!r}."
   signature = Signature(func, masked=masked)
