@@ -4,7 +4,7 @@ import csv
 import math
 import sys
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import mujoco
 import numpy as np
@@ -209,8 +209,8 @@ def test_a_failed_write_leaves_the_old_file(fitted: MotorFit, tmp_path: Path, mo
   path = tmp_path / "motor.pt"
   path.write_text("old")
 
-  def fail(state: object, file: Path) -> None:
-    Path(file).write_text("half")
+  def fail(state: object, file: IO[bytes]) -> None:
+    file.write(b"half")
     raise OSError("disk full")
 
   monkeypatch.setattr(torch, "save", fail)
@@ -218,6 +218,10 @@ def test_a_failed_write_leaves_the_old_file(fitted: MotorFit, tmp_path: Path, mo
     fitted.save(path)
   assert path.read_text() == "old"
   assert [file.name for file in tmp_path.iterdir()] == ["motor.pt"]
+  monkeypatch.undo()
+  # Even the superuser cannot write this folder.
+  with pytest.raises(OSError, match="motor"):
+    fitted.save("/proc/motor.pt")
 
 
 def table(rows: int = 12) -> list[list[float]]:

@@ -84,8 +84,9 @@ class MotorFit:
 
   def save(self, path: str | Path) -> None:
     """Write the state dict that `LearnedMlpActuatorCfg.network_file` names; a file of that name is replaced whole."""
-    with AtomicWrite(path) as temporary:
-      torch.save(self.network.state_dict(), temporary)
+    # Given a name, torch reports a folder that cannot be written as a RuntimeError.
+    with AtomicWrite(path) as temporary, temporary.open("wb") as file:
+      torch.save(self.network.state_dict(), file)
 
   def save_plot(self, path: str | Path) -> None:
     """Draw errors over epochs and held-out efforts as a PNG; a file of that name is replaced whole.
