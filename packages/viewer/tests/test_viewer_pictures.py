@@ -115,6 +115,12 @@ def test_a_video_holds_the_frames_given_and_appears_only_when_whole(tmp_path: Pa
   assert [file.name for file in path.parent.iterdir()] == ["film.mp4"]
 
 
+def test_a_film_that_cannot_be_written_is_named() -> None:
+  # Even the superuser cannot write this folder.
+  with pytest.raises(OSError, match="film"):
+    VideoFile("/proc/film.mp4", 50).add(np.zeros((8, 8, 3), np.uint8))
+
+
 def test_a_film_ends_where_the_disk_is_full(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
   def full(*_: object, **__: object) -> NoReturn:
     raise OSError(errno.ENOSPC, "No space left on device")

@@ -44,6 +44,8 @@ class VideoFile:
     frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]
     if self._open is None:
       write = AtomicWrite(self.path)
+      # PyAV opens the file later, and its error has no name.
+      write.temporary.touch()
       container = av.open(str(write.temporary), "w", format="mp4")
       stream = container.add_stream("libx264", rate=self._fps, options={"crf": "23", "preset": "fast"})
       stream.height, stream.width = frame.shape[:2]
