@@ -88,7 +88,7 @@ def pictures(env: ManagerBasedRlEnv, repeats: int) -> dict[int, float]:
 
 
 def steps(env: ManagerBasedRlEnv, repeats: int) -> dict[str, float]:
-  """Time of a step [ms] by who looks."""
+  """Time of a step without and with viewers [ms]."""
   found = {"nothing": least_ms(stepper(env), repeats, BLOCK)}
   with BrowserViewer(env, port=8400) as viewer, ExitStack() as stack:
     found["a viewer, no client"] = least_ms(stepper(env, viewer.update), repeats, BLOCK)
@@ -156,7 +156,7 @@ def main() -> None:
       lines.append(f"| {worlds} | " + " | ".join(f"{found[k]:.1f}" if k in found else "-" for k in DRAWN) + " |")
       table[worlds] = steps(env, args.repeats)
   heads = list(table[counts[0]])
-  lines += ["", "An environment step by who looks [ms]:", "", "| worlds | " + " | ".join(heads) + " |"]
+  lines += ["", "An environment step without and with viewers [ms]:", "", "| worlds | " + " | ".join(heads) + " |"]
   lines.append("|---" * (len(heads) + 1) + "|")
   lines += [f"| {worlds} | " + " | ".join(f"{row[head]:.1f}" for head in heads) + " |" for worlds, row in table.items()]
   text = "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""Installs every member's wheel alone and runs its tests there: `uv run python tools/check_wheels.py [MEMBER ...]`.
+"""Tests of every member's wheel, installed alone: `uv run python tools/check_wheels.py [MEMBER ...]`.
 
 Each member gets an empty environment with its wheel, what the wheel requires, pytest, and its `test` dependency group;
 siblings come from this clone and only where they are required. Its tests must pass there, its module must come from the

@@ -44,7 +44,7 @@ def build(env: ManagerBasedRlEnv, design: dict[str, torch.Tensor]) -> None:
 
 
 def walk(env: ManagerBasedRlEnv, policy: CheckpointPolicy, design: dict[str, torch.Tensor]) -> list[np.ndarray]:
-  """Return forward speed [m/s] and RMS torque of a motor [N m] after settling, and who stayed up."""
+  """Return forward speed [m/s] and RMS torque of a motor [N m] after settling, and which worlds stayed up."""
   env.reset()
   env.sim.data.qpos[:, 2] += HANG * (design["thigh"] + design["calf"] - 2.0)
   speed, square = torch.zeros(2, env.num_envs)

@@ -144,7 +144,7 @@ def main() -> None:
       if not any(
         _is_new(by_name[member], module, [name]) for member in row.members for module in by_name[member].modules
       ):
-        sys.exit(f"SUBJECTS: '{name}' is no module of {' or '.join(row.members)}")
+        sys.exit(f"SUBJECTS: '{name}' is not a module of {' or '.join(row.members)}")
   reference = dict.fromkeys(SUBJECTS, 0)
   for file, subject in reference_files(folder).items():
     reference[subject] += tokens(Module("", file))

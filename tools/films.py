@@ -1,4 +1,4 @@
-"""Films the policies that ship, for the site and the README: `MUJOCO_GL=egl uv run python tools/films.py [NAME ...]`.
+"""Films of the policies that ship, for site and README: `MUJOCO_GL=egl uv run python tools/films.py [NAME ...]`.
 
 Writes docs/pictures/films/NAME.webp, an animation of one robot, for each policy of `mjlab.demos`. Robots that take
 velocity commands walk forwards and then turn. With MENAGERIE_ROOT, or with meshes in the cache of mujoco-menagerie,

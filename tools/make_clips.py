@@ -1,4 +1,4 @@
-"""Makes the clips that ship with the tracking task: `uv run python tools/make_clips.py [FOLDER]`.
+"""Maker of the clips that ship with mjlab-motions: `uv run python tools/make_clips.py [FOLDER]`.
 
 Each clip is a score: keyframes of feet, centre of mass, pelvis height and arms, between which everything moves with no
 jerk at its ends. Inverse kinematics turns every frame into joint angles. The centre of mass is moved slowly and never

@@ -1,4 +1,4 @@
-"""Makes the policies that `demo` shows: `uv run python tools/make_demo.py CHECKPOINT [--task lift]`.
+"""Maker of the policies that `demo` shows: `uv run python tools/make_demo.py CHECKPOINT [--task lift]`.
 
 Takes the actor out of a checkpoint, made on a GPU with `uv run train Mjlab-Velocity-Flat-Unitree-Go1
 --agent.max-iterations 460`, or with `uv run train Mjlab-Lift-Cube-Yam` for 1332 iterations. Measures it without noise

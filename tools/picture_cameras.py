@@ -1,4 +1,4 @@
-"""Draws what camera sensors see for the documentation: `uv run python tools/picture_cameras.py`.
+"""Pictures of what camera sensors see, for the documentation: `uv run python tools/picture_cameras.py`.
 
 A row is a world: the robot from behind, then colours, depth and segmentation of the camera on its head. Worlds differ
 in the ground they stand on, in colours and in light, as they do under randomisation. It needs neither a GPU nor OpenGL.

@@ -1,4 +1,4 @@
-"""Draws the clips that ship as strips of poses: `MUJOCO_GL=egl uv run python tools/picture_clips.py`."""
+"""Pictures of the clips that ship, as strips of poses: `MUJOCO_GL=egl uv run python tools/picture_clips.py`."""
 
 import argparse
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Draws what the pseudo-inertia randomiser does to a body: `python tools/picture_inertia.py`.
+"""Picture of what the pseudo-inertia randomiser does to a body: `python tools/picture_inertia.py`.
 
 Marginals of mass, centre of mass and principal moments for three sizes of perturbation, from a box of 0.3 x 0.2 x
 0.1 m and 4 kg whose frame is at one of its ends.

@@ -1,4 +1,4 @@
-"""Draws what the policies that lift see, for the documentation: `uv run python tools/picture_manipulation.py`.
+"""Pictures of what the policies that lift see, for the documentation: `uv run python tools/picture_manipulation.py`.
 
 Two pictures: the plain tasks, and images that differ from world to world. A row for each channel, a column for each
 world, as they begin: 32 x 32 pixels beside the title, and enlarged. It needs neither a GPU nor OpenGL.

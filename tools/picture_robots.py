@@ -1,4 +1,4 @@
-"""Draws each robot in its default pose for the documentation: `MUJOCO_GL=egl uv run python tools/picture_robots.py`.
+"""Pictures of each robot in its default pose: `MUJOCO_GL=egl uv run python tools/picture_robots.py`.
 
 Pictures show the primitives that are drawn without mesh files; `--meshes` shows the meshes instead.
 """

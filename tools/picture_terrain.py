@@ -1,4 +1,4 @@
-"""Draws the terrain for the documentation: `MUJOCO_GL=egl uv run python tools/picture_terrain.py`.
+"""Pictures of the terrain, for the documentation: `MUJOCO_GL=egl uv run python tools/picture_terrain.py`.
 
 Three pictures: a full grid, a sheet of every type at difficulty 0, 0.5 and 1, and ground from a mesh and a height map.
 """

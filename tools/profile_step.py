@@ -144,7 +144,7 @@ def grouped(
     count, total = found.get(label, (0, 0.0))
     found[label] = count + 1, total + spent
   if seen % max(len(parts), 1):
-    raise SystemExit(f"{seen} marks were profiled, which is no multiple of the {len(parts)} of a step")
+    raise SystemExit(f"{seen} marks were profiled, which is not a multiple of the {len(parts)} of a step")
   return found
 
 

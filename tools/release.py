@@ -1,4 +1,4 @@
-"""Prepares the release of one member: `uv run python tools/release.py MEMBER major|minor|patch`.
+"""Release of one member: `uv run python tools/release.py MEMBER major|minor|patch`.
 
 It bumps the member's version, dates the Unreleased section of its changelog, writes its public API to `api.txt`, widens
 the ranges of members that require it, updates the lock, builds the wheel and checks it alone. With `--raise`, members

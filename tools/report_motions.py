@@ -1,4 +1,4 @@
-"""Converts clips that other people made and says how good they are: `uv run python tools/report_motions.py FOLDER`.
+"""Conversion and quality reports of public clips: `uv run python tools/report_motions.py FOLDER`.
 
 FOLDER holds `g1-moves/*.csv` at 60 Hz, `kimodo/*.csv` at 30 Hz and `shuffle_dance.npz`, which says its times; nothing
 of it is copied. Writes `docs/motions.md` and a picture of each quality report.

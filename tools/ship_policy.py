@@ -1,4 +1,4 @@
-"""Puts a trained policy where `demo` finds it: `uv run python tools/ship_policy.py RUN|CHECKPOINT NAME`.
+"""Trained policy for `demo`, exported and verified: `uv run python tools/ship_policy.py RUN|CHECKPOINT NAME`.
 
 NAME is one of the table in packages/mjlab/src/mjlab/demos.py, and the run is of its task. The policy is exported as a
 bundle, verified, and evaluated in its task, walking robots with pushes up to 1 m/s. If it passes, it is kept in the

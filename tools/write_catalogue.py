@@ -1,4 +1,4 @@
-"""Writes the table of all randomisable fields from the code: `python tools/write_catalogue.py`.
+"""Table of all randomisable fields, written from the code: `python tools/write_catalogue.py`.
 
 A test holds the file against what this would write.
 """

@@ -1,4 +1,4 @@
-"""Drives a model of its own with a DC motor and a learned motor, in plain C MuJoCo, and says what they did.
+"""Example that drives a small model with a DC motor and a learned motor, in plain C MuJoCo.
 
 It needs nothing but this package:
 `uv run --no-project --with ./packages/actuators python packages/actuators/examples/plain_mujoco.py`.

@@ -122,7 +122,7 @@ def test_reset_starts_from_the_given_pose_and_leaves_other_worlds_bit_identical(
     if resets:
       reset(actuators, 100.0, mask)
     else:
-      # Draws are made for all worlds at every reset, whoever resets: the twin draws them too.
+      # Every reset draws for all worlds, so the twin draws too.
       reset(actuators, 100.0, torch.zeros(WORLDS, dtype=torch.bool))
     runs.append(torch.stack([step(actuators, 50.0 + k) for k in range(4)]))
   without, with_reset = runs

@@ -18,7 +18,7 @@ def test_a_package_imports_what_is_asked_for_once_and_nothing_else(
     "__getattr__, __dir__ = lazy_exports(__name__, {'.fruit': 'apple', '.rest': 'pear', 'math': 'sqrt'})\n"
   )
   (package / "fruit.py").write_text("apple = []\n")
-  (package / "rest.py").write_text("raise RuntimeError('nobody asked')\n")
+  (package / "rest.py").write_text("raise RuntimeError('imported too early')\n")
   monkeypatch.syspath_prepend(str(tmp_path))
   lazy_shop = import_module("lazy_shop")
   assert {"apple", "pear", "sqrt"} <= set(dir(lazy_shop))

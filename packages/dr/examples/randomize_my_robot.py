@@ -5,7 +5,7 @@
 # [tool.uv.sources]
 # mjlab-dr = { path = ".." }
 # ///
-"""Randomises a robot in MuJoCo's own C engine: `uv run packages/dr/examples/randomize_my_robot.py`.
+"""Randomisation of a robot in MuJoCo's own C engine: `uv run packages/dr/examples/randomize_my_robot.py`.
 
 Installs mjlab-dr and what it requires, which is neither Warp nor the rest of mjlab; prints what changed, and how far
 the same push then carries each of a few robots.

@@ -1,4 +1,4 @@
-"""Randomisation as events: when it fires, in which worlds, how a curriculum widens it, and who may see it."""
+"""Randomisation as events: when it fires, in which worlds, how a curriculum widens it, and its observation."""
 
 from collections.abc import Callable
 from typing import Any

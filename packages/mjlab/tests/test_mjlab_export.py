@@ -172,7 +172,11 @@ def test_a_bundle_is_played_in_its_task(monkeypatch: pytest.MonkeyPatch, capsys:
   assert "policies that ship: track\n" in capsys.readouterr().out
   data = json.loads((bundle / "bundle.json").read_text())
   for part, change, message in (
-    (data["inputs"][1], {"columns": ["elbow"]}, "does not fit: 'joint/velocity' is (1,) elbow in it and (1,) hinge"),
+    (
+      data["inputs"][1],
+      {"columns": ["elbow"]},
+      "does not fit: 'joint/velocity' is (1,) elbow in the bundle and (1,) hinge",
+    ),
     (data, {"format": 99}, "format 99 is not 1"),
   ):
     part.update(change)

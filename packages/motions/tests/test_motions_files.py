@@ -169,9 +169,9 @@ def test_a_header_may_be_quoted_commented_out_or_come_after_other_lines(tmp_path
 @pytest.mark.parametrize(
   ("contents", "message"),
   [
-    (b"", "it has no numbers"),
-    (b"\n\n", "it has no numbers"),
-    (b"x,y,z\n", "it has no numbers"),
+    (b"", "the file has no numbers"),
+    (b"\n\n", "the file has no numbers"),
+    (b"x,y,z\n", "the file has no numbers"),
     (b"x\xe9,y\n1,2\n", "codec can.t decode"),
     (bytes(range(256)), "codec can.t decode"),
     (b"dance\n1,2,3\n", "3 columns, expected 7 of the root and 0 of joints"),

@@ -72,7 +72,7 @@ def all_kinds(network: Path) -> tuple[ActuatorCfg, ...]:
 
 
 def trajectory(make_worlds: MakeWorlds, path: Path, engine: str, *, resets: bool) -> torch.Tensor:
-  """Joint angles of two worlds over 20 substeps, the first of which may start anew in the middle, (20, 2, joints)."""
+  """Joint angles of two worlds over 20 substeps, the first of which may reset in the middle, (20, 2, joints)."""
   robot = EntityCfg(spec_fn=hand, articulation=EntityArticulationCfg(actuators=all_kinds(path)))
   scene, sim = make_worlds(2, engine, robot=robot)
   hand_of = scene["robot"]

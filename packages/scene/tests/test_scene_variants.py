@@ -145,7 +145,7 @@ def test_worlds_that_are_loaded_have_the_objects_that_were_saved(make, engine) -
   there = scene["thing"].geom_is_there
   load(scene, other, save(saved, sim))
   assert scene["thing"].variant.tolist() == [0, 1, 2, 3]
-  # In place, for those who hold it.
+  # In place, for code that keeps a reference.
   assert torch.equal(there, saved["thing"].geom_is_there)
   for name in sim.expanded_fields:
     assert torch.equal(other.model[name], sim.model[name]), name

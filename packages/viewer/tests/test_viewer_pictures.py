@@ -137,7 +137,7 @@ def test_a_film_ends_where_the_disk_is_full(monkeypatch: pytest.MonkeyPatch, tmp
 
 
 def test_a_picture_larger_than_opengl_draws_is_refused(opengl: None) -> None:
-  with pytest.raises(RenderingError, match="no picture of 999999 x 48 can be drawn here"):
+  with pytest.raises(RenderingError, match="a picture of 999999 x 48 cannot be drawn on this machine"):
     OffscreenRenderer(BoxEnv(1).sim.mj_model, PictureCfg(width=999_999, height=48))
 
 

@@ -1,4 +1,4 @@
-"""Environments of the lift task, and states put together by hand."""
+"""Environments of the lift task, and chosen states."""
 
 import itertools
 from collections.abc import Callable

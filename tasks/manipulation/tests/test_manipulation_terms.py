@@ -1,4 +1,4 @@
-"""Rewards, observations and stages against NumPy on states that are put together by hand."""
+"""Rewards, observations and stages against NumPy on chosen states."""
 
 from typing import Any
 

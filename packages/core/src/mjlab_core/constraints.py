@@ -238,7 +238,7 @@ def _broken_rule(value: Any, hint: Any) -> str:
 
 
 def _is_for(value: Any, rule: str, hint: Any) -> bool:
-  """Return True if an annotation that a value breaks by `rule` is for values of its type."""
+  """Return True if an annotation accepts the type of a value, and only the rule refuses the value itself."""
   literals = [type(choice) for choice in get_args(hint)] if get_origin(hint) is Literal else [type(value)]
   return rule not in _TYPE_RULES and type(value) in literals
 

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class DeployError(ValueError):
-  """Mistake in what a user gave: a bundle that cannot be read, a robot that it does not fit, an option."""
+  """Error about a user's input: a bundle that cannot be read, a robot that does not fit it, or an option."""
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""Former modules of mjlab 1.x, which are separate packages now: importing one names its new place."""
+"""Modules of mjlab 1.x that are separate packages now; importing one raises an error with its new name."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -25,7 +25,7 @@ MOVED = {
   "mjlab.utils": "mjlab_core",
   "mjlab.viewer": "mjlab_viewer",
 }
-"""New module by former one."""
+"""New names by former names."""
 
 
 class MovedModules:

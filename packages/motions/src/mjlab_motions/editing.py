@@ -93,7 +93,7 @@ def twin_name(name: str) -> str:
 
 
 def concatenate(motions: Sequence[Motion], *, blend: float = 0.3) -> Motion:
-  """Return the clips one after the other; each starts in place and heading of the end of the one before.
+  """Return the clips one after the other; each starts at the position and heading at which the previous one ends.
 
   Args:
     motions: At least one, of one robot and one rate; joints are placed by name.

@@ -64,7 +64,7 @@ class RayCastData:
 
 
 class RayCastSensor(RaySensor[RayCastData], cfg=RayCastSensorCfg):
-  """Casts a pattern of rays from each of its frames. Surfaces are hit from both sides, but planes from above only."""
+  """Sensor that casts a pattern of rays from each frame. Rays hit surfaces from both sides, planes only from above."""
 
   cfg: RayCastSensorCfg
 

@@ -46,7 +46,7 @@ class RaySensorCfg(SensorCfg):
 
 
 class RaySensor(Sensor[T]):
-  """Casts a pattern of rays from each of its frames, in all worlds at once.
+  """Sensor that casts a pattern of rays from each of its frames, in all worlds at once.
 
   Rays are cast when the data are first read after a change of state, so they always show the present state.
   """

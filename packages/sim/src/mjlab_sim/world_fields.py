@@ -100,7 +100,7 @@ class WorldFields:
         yield f"saved {kind} field '{name}' has shape {tuple(value.shape)}, here it is {shape}"
 
   def load(self, state: State) -> bool:
-    """Write a checked state; return True if a field was written that others follow from."""
+    """Write a checked state; return True if other fields follow from a written field."""
     for name, value in state["data"].items():
       self._fresh.engine.data_field(name).copy_(value)
     for name, value in state["default"].items():

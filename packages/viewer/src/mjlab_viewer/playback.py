@@ -134,7 +134,7 @@ class Playback:
     self.paused = True
 
   def toggle(self) -> None:
-    """Pause, or continue and forget an error."""
+    """Pause, or continue and clear the error."""
     if self.paused:
       self.resume()
     else:

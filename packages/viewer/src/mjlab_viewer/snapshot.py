@@ -46,7 +46,7 @@ class Snapshot:
 
 
 class SnapshotTaker:
-  """Takes snapshots of an environment. The cost grows with the worlds in a snapshot, not with all worlds.
+  """Source of snapshots of an environment. The cost grows with the worlds in a snapshot, not with all worlds.
 
   All values of a snapshot come to the host in one transfer. The environment is not written to.
 

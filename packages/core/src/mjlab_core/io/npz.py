@@ -100,7 +100,7 @@ class Npz:
       raise FileError(f"lacks {name}, it has: {self.names}")
     info, is_numeric = self._members[name], "f" in kinds
     if info.compress_type not in _PLAIN or info.flag_bits & 1:
-      raise FileError(f"{name} is packed in another way than NumPy packs arrays")
+      raise FileError(f"{name} is encrypted or uses a compression that NumPy does not write")
     try:
       with zipfile.ZipFile(self.path) as archive, archive.open(info) as member:
         shape, dtype = _header(member.read(_MAX_HEADER))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class DebugDraw(Protocol):
-  """Draws shapes over the present picture; they are gone in the next one.
+  """Interface that draws shapes over the present picture; they are gone in the next one.
 
   A viewer calls `debug_draw(draw)` of sensors and commands once per picture, outside of the step. They draw the
   worlds in `draw.worlds`. Arguments are tensors of any device or arrays, one row per shape and n rows in all; n may

@@ -130,7 +130,7 @@ def _opengl(width: int, height: int) -> Any:
       failures.append(f"{name}: {' '.join(str(error).split())[:100] or type(error).__name__}")
     else:
       return context
-  raise DeployError(f"no camera images, OpenGL does not work here ({'; '.join(failures)})")
+  raise DeployError(f"no camera images: OpenGL fails on this machine ({'; '.join(failures)})")
 
 
 def _load_triton() -> None:

@@ -124,7 +124,7 @@ class apply_body_impulse(apply_external_force_torque):
     where_(self._time_left, mask, self._draw_time(self.active))
 
   def _draw_time(self, pushing: torch.Tensor) -> torch.Tensor:
-    """Return a time for each world: of a push where it is pushed, of a wait elsewhere, float64 (num_envs,) [s]."""
+    """Return the duration of the push or of the wait of each world, float64 (num_envs,) [s]."""
     lo, hi = self._times.index_select(0, pushing.long()).unbind(1)
     return uniform(lo, hi, (self.num_envs,), generator=self.env.rng, device=self.device, dtype=torch.float64)
 

@@ -26,7 +26,7 @@ from mjlab.cli.shared._progress import progress_bar
 
 @dataclass(kw_only=True)
 class Arguments(PolicyArguments, TaskArguments):
-  """All that can be given after the task."""
+  """Arguments after the task."""
 
   require: str | None = None
   """Thresholds, comma-separated, such as success_rate>=0.95,dance:mpkpe<=0.1; exit code 1 if one is missed."""

@@ -39,7 +39,7 @@ _ROBOT = CommandLine("new robot", "FILE", RobotArguments)
 
 @dataclass(kw_only=True)
 class TaskArguments(CommonArguments):
-  """All that can be given after the name."""
+  """Arguments after the name."""
 
   like: Literal["velocity", "tracking", "lift", "empty"] = "empty"
   """Family that the task begins with."""

@@ -35,7 +35,7 @@ class Foot:
 
 
 def colliding(model: mujoco.MjModel) -> list[int]:
-  """Return the geoms that can touch the ground, whose bits are 1."""
+  """Return the geoms that can touch the ground: those whose contact bits match 1."""
   bits = (model.geom_contype | model.geom_conaffinity) & 1
   return np.flatnonzero(bits & (model.geom_type != _PLANE)).tolist()
 

@@ -56,7 +56,7 @@ def read_robot(
   """Read a robot from a model file and settle it.
 
   Raises:
-    MjlabError: The file cannot be read or is no robot; one line.
+    MjlabError: The file cannot be read or is not a robot; one line.
     UsageError: A flag does not fit the robot.
   """
   robot = read_robot_model(path, base)

@@ -32,7 +32,7 @@ def from_csv(path: Path, robot: Kinematics, said: Statement) -> Motion:
   header = [cell.strip().strip('"') for cell in lines[0].lstrip("# ").split(",")] if lines else []
   has_header = not all(_is_number(cell) for cell in header)
   if len(lines) <= has_header:
-    raise FileError("it has no numbers")
+    raise FileError("the file has no numbers")
   table = np.loadtxt(lines[int(has_header) :], delimiter=",", ndmin=2)
   if has_header and said.joint_names is None:
     said = dataclasses.replace(said, joint_names=header[7:])

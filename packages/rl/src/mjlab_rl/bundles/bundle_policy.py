@@ -99,7 +99,8 @@ def _differences(description: "Description", readings: Mapping[str, Any], env: A
     reading = readings[item.name]
     shape, columns = tuple(reading.read().shape[1:]), tuple(reading.columns)
     if (shape, columns) != (item.shape, item.columns):
-      yield f"'{item.name}' is {item.shape} {', '.join(item.columns)} in it and {shape} {', '.join(columns)} here"
+      there = f"{item.shape} {', '.join(item.columns)}"
+      yield f"'{item.name}' is {there} in the bundle and {shape} {', '.join(columns)} in the environment"
   if (count := env.action_manager.total_action_dim) != len(description.action_names):
     yield f"it has {len(description.action_names)} actions, the environment {count}"
   if (entity := env.scene.entities.get(description.robot.name)) is None:

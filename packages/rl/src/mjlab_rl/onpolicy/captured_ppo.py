@@ -46,7 +46,7 @@ class CapturedPPO(PPO):
 
   @property
   def is_covered(self) -> bool:
-    """True if this class does the updates, and not rsl-rl."""
+    """True if this class, not rsl-rl, performs the updates."""
     return (
       isinstance(self.optimizer, torch.optim.Adam)
       and not (self.rnd or self.symmetry or self.actor.is_recurrent or self.critic.is_recurrent)

@@ -34,7 +34,7 @@ class Stage:
 
 
 class Launcher:
-  """Runs stages of Warp kernels on one device, on torch's current stream.
+  """Launcher of stages of Warp kernels on one device, on torch's current stream.
 
   Args:
     d: Data that stages write; a warm-up launch leaves it as it was.

@@ -12,7 +12,7 @@ import warp as wp
 
 
 class Recorder:
-  """Records one function and replays it."""
+  """Recording of one function, which it replays."""
 
   def __init__(self, device: torch.device, generators: Sequence[torch.Generator]) -> None:
     self._device = device

@@ -148,7 +148,7 @@ class Page:
 
 def open_page(cfg: TerrainGridCfg, host: str, port: int) -> Any:
   """Serve a page of `cfg`, at the next free port if this one is taken, and return its server."""
-  logging.getLogger("websockets.server").addFilter(_is_no_failed_handshake)
+  logging.getLogger("websockets.server").addFilter(_is_not_a_failed_handshake)
   # viser prints a greeting, but standard output is for the caller.
   with contextlib.redirect_stdout(io.StringIO()):
     server = viser.ViserServer(host=host, port=port, label="terrain", verbose=False)
@@ -170,6 +170,6 @@ def serve(cfg: TerrainGridCfg, port: int, host: str = "127.0.0.1") -> None:
     server.stop()
 
 
-def _is_no_failed_handshake(record: logging.LogRecord) -> bool:
+def _is_not_a_failed_handshake(record: logging.LogRecord) -> bool:
   """Suppress the traceback of connections that are not from a browser, such as port scans."""
   return record.getMessage() != "opening handshake failed"

@@ -27,8 +27,8 @@ def check_address(host: str, port: int) -> None:
 
 def ignore_failed_handshakes() -> None:
   """Keep the server from printing a traceback for connections that are not from a browser, such as scans of ports."""
-  logging.getLogger("websockets.server").addFilter(_is_no_failed_handshake)
+  logging.getLogger("websockets.server").addFilter(_is_not_a_failed_handshake)
 
 
-def _is_no_failed_handshake(record: logging.LogRecord) -> bool:
+def _is_not_a_failed_handshake(record: logging.LogRecord) -> bool:
   return record.getMessage() != "opening handshake failed"

@@ -18,7 +18,7 @@ from mjlab_viewer.snapshot import SnapshotTaker
 
 
 class Recorder:
-  """Films the selected world, one frame for each step.
+  """Film of the selected world, one frame for each step.
 
   Args:
     env: The environment.

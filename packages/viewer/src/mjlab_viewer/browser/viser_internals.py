@@ -58,7 +58,7 @@ class LoopEvent(asyncio.Event):
 
 
 def repair_wakeup() -> None:
-  """Give all servers from now on an event that only their loop sets."""
+  """Give all later servers an event that only their own loop sets."""
   buffer: Any = getattr(_owner_of("AsyncMessageBuffer"), "AsyncMessageBuffer", None)
   if buffer is not None and not hasattr(buffer, "message_event"):
     buffer.message_event = property(lambda self: self._loop_event, _set_event)

@@ -46,7 +46,7 @@ _ENTER, _RIGHT = 257, 262  # As GLFW numbers them; the others are their letters.
 
 
 class NativeViewer:
-  """Shows one world in MuJoCo's passive viewer, with a copy of the model.
+  """Window of MuJoCo's passive viewer that shows one world, with a copy of the model.
 
   The controls of MuJoCo's window work: contact points and forces (keys C and F), cameras, and dragging a body with Ctrl
   and the right mouse button, whose force reaches the simulation. `KEYS` lists further keys.

@@ -42,7 +42,7 @@ class PictureCfg(Config):
 
 
 class OffscreenRenderer:
-  """Renders snapshots: each world is a tile of the picture, and its camera follows its robot.
+  """Renderer of snapshots: each world is a tile of the picture, and its camera follows its robot.
 
   Use it only in the thread that made it.
 
@@ -79,7 +79,9 @@ class OffscreenRenderer:
       context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
     except mujoco.FatalError as error:
       self._gl.free()
-      raise RenderingError(f"no picture of {self.cfg.width} x {self.cfg.height} can be drawn here: {error}") from error
+      raise RenderingError(
+        f"a picture of {self.cfg.width} x {self.cfg.height} cannot be drawn on this machine: {error}"
+      ) from error
     # The shadow map covers what the camera sees: the nearer the camera, the sharper the shadows.
     context.shadowClip = _SHADOW_REACH * self._view.distance
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)

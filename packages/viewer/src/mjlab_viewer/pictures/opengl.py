@@ -45,7 +45,9 @@ def make_context(width: int, height: int) -> Any:
     else:
       return context
   tried = "; ".join(failures) or "neither EGL nor OSMesa is installed"
-  raise RenderingError(f"no pictures, OpenGL does not work here ({tried}). Debian has it in libegl1 libgl1-mesa-dri")
+  raise RenderingError(
+    f"no pictures: OpenGL fails on this machine ({tried}); on Debian, install libegl1 libgl1-mesa-dri"
+  )
 
 
 def _load_triton() -> None:

@@ -19,7 +19,7 @@ MOST_TILES = 4
 
 
 class TrainingVideo:
-  """Films the first worlds as tiles: `length` steps, every `interval` steps.
+  """Films of the first worlds as tiles: `length` steps, every `interval` steps.
 
   `after_step` copies a few worlds to the host. One thread renders and encodes all films in the background. If it cannot
   keep up, it repeats frames instead of delaying the training. Only the first frame of a film waits, so that no film is

@@ -24,7 +24,7 @@ _NEEDED = int(mjw.BroadphaseFilter.SPHERE | mjw.BroadphaseFilter.OBB)
 
 
 def grouped_broadphase(model: mujoco.MjModel, m: mjw.Model, d: mjw.Data) -> "GroupedBroadphase | None":
-  """Return a broad phase for this model; None where MuJoCo Warp's own is as good or must be taken.
+  """Return a broad phase for this model; None if MuJoCo Warp's own is as good or is required.
 
   It saves nothing without many pairs of one robot and geoms that stay, such as for loose objects, each of which is a
   separate group. It does not support sleeping bodies, nor tests of pairs other than MuJoCo Warp's default.

@@ -56,7 +56,7 @@ class Selection:
 
 
 class BrowserScene:
-  """Shows snapshots with mjviser, which writes to its model and therefore gets a copy.
+  """Scene of a snapshot on the page. mjviser writes to its model and therefore gets a copy.
 
   Args:
     server: Server of the page.
