@@ -105,7 +105,8 @@ def test_a_scene_without_the_root_of_the_robot_is_refused(folder: Path) -> None:
 def test_a_scene_without_its_drawn_meshes_keeps_masses_and_the_numbers_of_its_geoms(folder: Path) -> None:
   mesh = '<mesh name="hull" vertex="0 0 0  .3 0 0  0 .3 0  0 0 .3"/>'
   drawn = '<geom type="mesh" mesh="hull" contype="0" conaffinity="0" mass="2"/>'
-  body = f'<body name="b"><freejoint/>{drawn}<geom name="foot" size=".1" mass="1"/></body>'
+  shell = f'<body name="shell"><joint/>{drawn}</body>'
+  body = f'<body name="b"><freejoint/>{drawn}<geom name="foot" size=".1" mass="1"/>{shell}</body>'
   spec = mujoco.MjSpec.from_string(f"<mujoco><asset>{mesh}</asset><worldbody>{body}</worldbody></mujoco>")
   model = spec.compile()
   model.geom_size[1, 0], model.geom_friction[1, 0] = 0.07, 0.3
@@ -115,8 +116,8 @@ def test_a_scene_without_its_drawn_meshes_keeps_masses_and_the_numbers_of_its_ge
     scene = load_scene(bundle)
   assert scene.ngeom == 1
   assert (scene.geom("foot").size[0], scene.geom("foot").friction[0]) == (0.07, 0.3)
-  for name in ("mass", "inertia", "ipos", "iquat"):
-    np.testing.assert_array_equal(getattr(scene.body("b"), name), getattr(model.body("b"), name))
+  for name in ("body_mass", "body_inertia", "body_ipos", "body_iquat", "body_subtreemass", "dof_M0"):
+    np.testing.assert_array_equal(getattr(scene, name), getattr(model, name))
 
 
 @pytest.mark.parametrize("name", ["nbody", "body_mass", "__class__"])

@@ -23,9 +23,16 @@ def write_scene(spec: mujoco.MjSpec, folder: Path, fields: Mapping[str, np.ndarr
   Raises:
     DeployError: XML cannot hold the model.
   """
-  whole, spec = spec.copy().compile(), spec.copy()
+  spec = spec.copy()
+  whole = spec.compile()
   for geom in list(spec.geoms):
     if geom.type == mujoco.mjtGeom.mjGEOM_MESH and not (geom.contype or geom.conaffinity):
+      body = geom.parent
+      if body.id and not body.explicitinertial:
+        # MuJoCo refuses a moving body that has lost all of its mass.
+        compiled = whole.body(body.id)
+        body.explicitinertial, body.mass, body.inertia = True, compiled.mass[0], compiled.inertia
+        body.ipos, body.iquat = compiled.ipos, compiled.iquat
       spec.delete(geom)
   drawn = {geom.meshname for geom in spec.geoms}
   for mesh in list(spec.meshes):
