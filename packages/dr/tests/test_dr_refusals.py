@@ -228,9 +228,9 @@ def test_wind_without_a_medium_is_refused() -> None:
 
 
 UNPHYSICAL = [
-  (lambda: FIELD("cam_quat", ".*", (0.9, 1.1), operation="scale"), "'scale' makes no sense for it"),
+  (lambda: FIELD("cam_quat", ".*", (0.9, 1.1), operation="scale"), "'scale' is not possible; use 'add'"),
   (lambda: FIELD("geom_matid", ".*", (0.0, 1.0)), "is a choice: give a Categorical"),
-  (lambda: FIELD("cam_intrinsic", ".*", (0.0, 1.0), operation="add"), "might turn a focal length negative"),
+  (lambda: FIELD("cam_intrinsic", ".*", (0.0, 1.0), operation="add"), "can make a focal length negative"),
   (lambda: FIELD("geom_size", ".*", {0: (0.9, 1.0), 1: (0.8, 1.0)}, isotropic=True), "isotropic means one draw"),
   (lambda: FIELD("geom_rgba", ".*", Categorical(())), r"needs values, and as many weights, not all zero; got \(\)"),
   (lambda: FIELD("geom_rgba", ".*", Categorical((0.0, 1.0), (1.0,))), r"as many weights, .* and \(1.0,\)"),

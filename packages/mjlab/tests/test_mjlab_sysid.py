@@ -159,7 +159,7 @@ RECORD_OF_LEG = f"time,position/{CALF},position_target/{CALF}\n" + "".join(
 @pytest.mark.parametrize(
   ("old", "new", "message"),
   [
-    ("\n0.20,", "\n0.10,", "row 21: time 0.1 s does not follow the row before; sort it"),
+    ("\n0.20,", "\n0.10,", "row 21: time 0.1 s is not after that of the previous row; sort the rows"),
     ("-1.7950", "nan", "line 7, column 'position/FR_calf_joint': 'nan' is not a finite number"),
     ("/FR_calf_joint,", "/FR_calf_joint [degrees],", "unit of position 'degrees' does not exist"),
     (",-1.7", ",-103", "name the unit, such as 'position/FR_calf_joint [deg]'"),

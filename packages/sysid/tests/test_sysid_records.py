@@ -170,8 +170,8 @@ def test_even_rows_stay_as_they_are() -> None:
     ("time,position\n0,0\n\n1,fast\n", r"a\.csv: line 4, column 'position': 'fast' is not a finite number"),
     ("time,position\n0,nan\n", "line 2, column 'position': 'nan' is not a finite number"),
     ("time,position\n0,0\n", "1 rows; a record has at least two"),
-    ("time,position\n2,0\n1,0\n", r"row 2: time 1 s does not follow the row before; sort it"),
-    ("time,position\n1,0\n1,0\n", r"row 2: time 1 s does not follow the row before; sort it"),
+    ("time,position\n2,0\n1,0\n", r"row 2: time 1 s is not after that of the previous row; sort the rows"),
+    ("time,position\n1,0\n1,0\n", r"row 2: time 1 s is not after that of the previous row; sort the rows"),
   ],
 )
 def test_a_wrong_csv_is_refused_by_line_and_column(tmp_path: Path, text: str, message: str) -> None:

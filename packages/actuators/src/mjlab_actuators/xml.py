@@ -48,7 +48,7 @@ class XmlActuatorCfg(ActuatorCfg):
     fields = (self.command_field,) if self.command_field is not None else command_fields_of(model, element)
     if len(fields) != width:
       raise MjlabError(
-        f"XmlActuatorCfg: unknown which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
+        f"XmlActuatorCfg: cannot tell which target actuator {model.actuator(element).name!r} takes ({width} inputs, "
         f"recognised: {', '.join(fields) or 'none'}); set command_field, or leave the actuator out"
       )
     is_voltage = bool(model.actuator_ctrlspec[element] & _VOLTAGE)

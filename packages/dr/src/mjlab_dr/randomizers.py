@@ -68,9 +68,9 @@ class FieldRandomizer:
     if operation not in get_args(Operation):
       yield unknown("operation", operation, get_args(Operation), owner=label)
     elif operation != only:
-      yield f"{label}: operation {operation!r} makes no sense for it; there is only {only!r}."
+      yield f"{label}: operation {operation!r} is not possible; use {only!r}."
     elif field.form == "intrinsics" and operation == "add":
-      yield f"{label}: a sum might turn a focal length negative; scale it, or give it absolute."
+      yield f"{label}: 'add' can make a focal length negative; use 'scale' or 'absolute'."
     if not self.pattern:
       yield f"{label}: no pattern is given."
     if not self.values:

@@ -189,8 +189,8 @@ def _bind(
     for number, description in terms[-1].claims.items():
       if number in writers and not cfg.composes:
         raise MjlabError(
-          f"{description} is written by two randomizers, {writers[number]} and {cfg.label}, and the second one does "
-          "not compose: only what scales, shifts what has no bounds, or is a pseudo-inertia does."
+          f"{description} is written by two randomizers, {writers[number]} and {cfg.label}, and the second one would "
+          "undo the first. Only scales, shifts of unbounded numbers and pseudo-inertias can be combined."
         )
       writers.setdefault(number, cfg.label)
   return terms

@@ -347,7 +347,7 @@ class RslRlDistillationRunnerCfg(RslRlBaseRunnerCfg):
     if not problems and steps % length:
       yield (
         f"agent.algorithm.gradient_length is {length}; it must divide num_learning_epochs x num_steps_per_env, "
-        f"{steps}, or the last {steps % length} steps of every iteration would teach nothing"
+        f"{steps}, or the last {steps % length} steps of every iteration would not be used"
       )
 
   def to_rsl_rl(self) -> dict[str, Any]:

@@ -99,7 +99,9 @@ def readings_of(env: Any, groups: Iterable[str]) -> dict[str, Any]:
     for reading in source.readings if source is not None else ():
       known = found.setdefault(reading.name, reading)
       if (known.frame, known.columns, known.origin) != (reading.frame, reading.columns, reading.origin):
-        raise MjlabError(f"{owner}: reading '{reading.name}' has another frame, origin or columns than elsewhere")
+        raise MjlabError(
+          f"{owner}: reading '{reading.name}' is declared twice, with different frames, origins or columns"
+        )
   return found
 
 

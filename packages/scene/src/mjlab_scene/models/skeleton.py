@@ -231,7 +231,7 @@ def _joint_problems(found: mujoco.MjsBody, body: mujoco.MjsBody, alone: mujoco.M
     return
   for joint in found.joints if mine else ():
     if joint.type != _FREE and list(alone.jnt_actfrcrange[alone.joint(joint.name).id]) != list(joint.actfrcrange):
-      yield f"joint '{joint.name}' has another actuatorfrcrange than in another variant"
+      yield f"joint '{joint.name}' has different actuatorfrcranges in two variants"
 
 
 def _add_parts(merged: mujoco.MjSpec, spec: mujoco.MjSpec, name: str, variant: str, prefix: str) -> None:

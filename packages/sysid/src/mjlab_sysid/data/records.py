@@ -103,7 +103,7 @@ class Record:
       yield f": {len(self.time)} rows; a record has at least two"
     rises = np.r_[True, self.time[1:] > self.time[:-1]] & np.isfinite(self.time)
     for row in np.flatnonzero(~rises):
-      yield f", row {row + 1}: time {self.time[row]:g} s does not follow the row before; sort it"
+      yield f", row {row + 1}: time {self.time[row]:g} s is not after that of the previous row; sort the rows"
     for name, values in self.signals.items():
       if name in BODY_SIGNALS and np.isnan(values).any():
         yield f": {name} is not finite, or lacks one of {', '.join(elements(name, ()))}"
