@@ -37,6 +37,18 @@ def observe(env: Any, func: Any, **params: Any) -> torch.Tensor:
   return observation
 
 
+class Counting(ManagerTermBase):
+  """Term with a decorated call, which takes any arguments."""
+
+  def __init__(self, env: Any) -> None:
+    super().__init__(env)
+    self.calls: list[int] = []
+
+  def __call__(self, *args: Any) -> torch.Tensor:
+    self.calls.append(len(args))
+    return torch.ones(self.num_envs)
+
+
 def reward(env: Any, func: Any, **params: Any) -> torch.Tensor:
   return RewardManager({"term": RewardTermCfg(func, weight=1.0, params=params)}, env, scale_by_dt=False).compute()
 
@@ -231,3 +243,12 @@ class TestClassTerms:
     ):
       with pytest.raises(ConfigError, match=f"term 'n': {said}"):
         RewardManager({"n": RewardTermCfg(func, weight=1.0)}, env)
+
+
+def test_the_call_of_a_class_term_may_take_any_arguments(env):
+  assert reward(env, Counting).tolist() == [1.0] * env.num_envs
+  events = EventManager({"term": EventTermCfg(Counting, mode="step")}, env)
+  events.apply("step")
+  counting = events.get_term_cfg("term").func
+  assert isinstance(counting, Counting)
+  assert counting.calls[-1] == 1

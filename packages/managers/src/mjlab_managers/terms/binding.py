@@ -304,7 +304,7 @@ def _form_problem(func: Any, base: type, *, masked: bool) -> str:
 def _class_problem(kind: Any, base: type, *, masked: bool) -> str:
   """Return the form of class terms if a class has another one."""
   is_called = base is ManagerTermBase
-  calls = (["mask"], ["env_ids"]) if masked else ([],)
+  calls = (["mask"], ["env_ids"], ["args"]) if masked else ([], ["args"])
   if (
     issubclass(kind, base)
     and _names(kind.__init__)[:1] in (["env"], ["args"])
