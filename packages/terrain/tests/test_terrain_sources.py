@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import sys
 from pathlib import Path
 
 import mujoco
@@ -137,3 +139,16 @@ def test_a_border_brings_a_height_map_to_the_rim() -> None:
   ground = Added(HeightMapCfg(source=np.ones((81, 81)), border=0.5, blend=0.5), tile_size=(8.0, 8.0))
   assert ground.at(3.7, 0.3) == pytest.approx(0.0, abs=1e-6)
   assert ground.at(2.0, 0.3) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_missing_package_names_the_extra_that_has_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+  for name in ("trimesh", "PIL"):
+    monkeypatch.setitem(sys.modules, name, None)
+  monkeypatch.delitem(sys.modules, "mjlab_terrain.view.page", raising=False)
+  for file in ("scan.obj", "heights.png"):
+    (tmp_path / file).write_bytes(b"")
+  with pytest.raises(ImportError, match="of the extra 'view' of mjlab-terrain"):
+    importlib.import_module("mjlab_terrain.view.page")
+  for cfg in (MeshCfg(source=tmp_path / "scan.obj"), HeightMapCfg(source=tmp_path / "heights.png")):
+    with pytest.raises(ValueError, match="of the extra 'mesh' of mjlab-terrain"):
+      cfg.add_to(mujoco.MjSpec())

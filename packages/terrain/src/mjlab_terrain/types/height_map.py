@@ -62,7 +62,7 @@ def _read_picture(path: Path) -> Floats:
   try:
     from PIL import Image
   except ImportError as error:
-    raise ImportError("pictures need Pillow: pip install 'mjlab-terrain[mesh]'") from error
+    raise ImportError("pictures need Pillow, of the extra 'mesh' of mjlab-terrain") from error
   with Image.open(path) as image:
     # 16-bit pictures keep their depth; all others become 8-bit grey.
     deep = image.mode.startswith("I") or image.mode == "F"

@@ -85,7 +85,7 @@ def _read_mesh(path: Path, changed: int) -> tuple[Any, Any]:
   try:
     trimesh: Any = import_module("trimesh")
   except ImportError as error:
-    raise ImportError("meshes need trimesh: pip install 'mjlab-terrain[mesh]'") from error
+    raise ImportError("meshes need trimesh, of the extra 'mesh' of mjlab-terrain") from error
   mesh = trimesh.load(path, force="mesh")
   return mesh.vertices, mesh.faces
 

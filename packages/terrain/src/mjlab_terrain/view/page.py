@@ -22,8 +22,11 @@ from mjlab_terrain.tile import Tile
 from mjlab_terrain.tile_cfg import TileCfg
 
 # Extras, which may be missing where types are checked.
-trimesh: Any = import_module("trimesh")
-viser: Any = import_module("viser")
+try:
+  trimesh: Any = import_module("trimesh")
+  viser: Any = import_module("viser")
+except ImportError as error:
+  raise ImportError("the page needs trimesh and viser, of the extra 'view' of mjlab-terrain") from error
 
 _GIVEN = "as given"
 
