@@ -342,7 +342,8 @@ def test_leaning_and_sinking_end_an_episode(env: Any) -> None:
   env.sim.data.qpos[:, 3:7] = torch.tensor(quat)
   env.sim.data.qpos[:, 2] = torch.tensor([0.3, 0.5, 0.1, 0.9])
   assert observed(env, mdp.bad_orientation, limit_angle=0.7).tolist() == [0, 0, 1, 1]
-  assert observed(env, mdp.root_height_below_minimum, minimum_height=0.4).tolist() == [1, 0, 1, 0]
+  env.scene.env_origins[:, 2] = 0.2
+  assert observed(env, mdp.root_height_below_minimum, minimum_height=0.2).tolist() == [1, 0, 1, 0]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])

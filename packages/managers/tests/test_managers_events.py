@@ -110,6 +110,19 @@ def test_worlds_for_which_no_time_passed_keep_their_timer(env):
   assert fired.masks == [[True, True, True, False]]
 
 
+def test_a_firing_leaves_the_timers_of_other_events(env):
+  often, seldom = (Fired() for _ in range(2))
+  terms = {
+    name: EventTermCfg(fired, mode="interval", interval_range_s=(steps * env.step_dt,) * 2)
+    for name, fired, steps in (("often", often, 1), ("seldom", seldom, 3))
+  }
+  manager = EventManager(terms, env)
+  for _ in range(6):
+    manager.apply("interval")
+  assert len([mask for mask in often.masks if all(mask)]) == 6
+  assert len([mask for mask in seldom.masks if all(mask)]) == 2
+
+
 @pytest.mark.usefixtures("nothing_skipped")
 def test_a_minimal_step_count_lets_the_first_firing_through_and_then_counts_global_steps(env):
   fired = Fired()

@@ -65,6 +65,10 @@ class TestOrder:
     env.values[1, 0] = 0.0
     manager.compute()
     assert str(logged(manager)["Nonfinite/observation/g/t"]) == "nan"
+    # Only worlds that are observed count.
+    env.values[1, 0] = torch.nan
+    manager.compute(env.mask(2), env.mask(2))
+    assert str(logged(manager)["Nonfinite/observation/g/t"]) == "nan"
 
   def test_delay_comes_before_history_and_sanitised_frames_enter_it(self, env):
     manager = one(env, delay_min_lag=1, delay_max_lag=1, history_length=2)
