@@ -39,8 +39,7 @@ _WEIGHTS = "Weights/"
 class MjlabOnPolicyRunner(OnPolicyRunner):
   """rsl-rl's runner with another training loop.
 
-  - A rollout waits for the device once, at its end. Statistics accumulate on the device and are read once per
-    iteration.
+  - A rollout waits for the device once, at its end; statistics accumulate there and are read once per iteration.
   - A checkpoint holds the learner, the worlds, every random generator and the statistics, so that a resumed run equals
     an uninterrupted one. `model_<n>.pt` is the state after n iterations.
   - Ctrl-C, SIGTERM and SIGHUP end the run after the iteration, with a checkpoint.
@@ -259,8 +258,7 @@ class MjlabOnPolicyRunner(OnPolicyRunner):
   ) -> dict[str, Any]:
     """Continue from a checkpoint of ours, or from the learner of one of rsl-rl's.
 
-    The worlds are restored only into as many worlds as were saved; otherwise they stay as they are, counters are
-    restored, and the console says so.
+    Into another number of worlds than was saved, only the learner and the counters are restored, with a message.
 
     Args:
       path: Checkpoint file.
