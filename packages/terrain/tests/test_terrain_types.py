@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
 
+import mjlab_terrain
 import mujoco
 import numpy as np
 import pytest
@@ -170,6 +171,13 @@ def test_foot_sized_boxes_do_not_fall_through(built: Built) -> None:
     if np.isfinite(z):
       assert position[k, 2] > z - reach, (NAMES[p.kind], p.difficulty)
     assert position[k, 2] > built.terrain.height_range[0] - 0.02, (NAMES[p.kind], p.difficulty)
+
+
+def test_every_public_type_without_a_file_is_among_those_of_the_tests() -> None:
+  public = {getattr(mjlab_terrain, name) for name in mjlab_terrain.__all__}
+  types = {kind for kind in public if isinstance(kind, type) and issubclass(kind, TileCfg)}
+  from_files = {TileCfg, mjlab_terrain.HeightMapCfg, mjlab_terrain.MeshCfg}
+  assert types - from_files == {type(cfg) for cfg in all_types().values()}
 
 
 @pytest.mark.parametrize("size", SHAPES)
