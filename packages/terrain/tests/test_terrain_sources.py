@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from mjlab_terrain import FlatCfg, HeightMapCfg, MeshCfg, TerrainGridCfg, TileCfg
 from mjlab_terrain.types.mesh import seen_from_above
+from PIL import Image
 from terrain_ground import Added
 
 # A wedge of 2 x 1 m that rises along x from 0 to 1 m, closed below.
@@ -115,12 +116,11 @@ def test_a_file_without_a_mesh_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_picture_is_seen_with_x_to_the_right_and_y_up(tmp_path: Path) -> None:
-  image = pytest.importorskip("PIL.Image")
   pixels = np.zeros((20, 40, 3), dtype=np.uint8)
   # White in the upper right corner.
   pixels[:8, 30:] = 255
   path = tmp_path / "heights.png"
-  image.fromarray(pixels).save(path)
+  Image.fromarray(pixels).save(path)
   ground = Added(HeightMapCfg(source=path, height=(0.5, 0.5)), tile_size=(4.0, 2.0))
   assert ground.at(1.7, 0.7) == pytest.approx(0.5, abs=1e-6)
   for x, y in ((-1.7, 0.7), (1.7, -0.7), (-1.7, -0.7)):
@@ -128,10 +128,9 @@ def test_a_picture_is_seen_with_x_to_the_right_and_y_up(tmp_path: Path) -> None:
 
 
 def test_pictures_with_sixteen_bits_keep_them(tmp_path: Path) -> None:
-  image = pytest.importorskip("PIL.Image")
   heights = np.arange(64 * 64, dtype=np.uint16).reshape(64, 64) * 16
   path = tmp_path / "deep.png"
-  image.fromarray(heights).save(path)
+  Image.fromarray(heights).save(path)
   assert len(np.unique(HeightMapCfg(source=path)._heights())) == 64 * 64
 
 
@@ -142,13 +141,10 @@ def test_a_border_brings_a_height_map_to_the_rim() -> None:
 
 
 def test_a_missing_package_names_the_extra_that_has_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-  for name in ("trimesh", "PIL"):
-    monkeypatch.setitem(sys.modules, name, None)
+  monkeypatch.setitem(sys.modules, "trimesh", None)
   monkeypatch.delitem(sys.modules, "mjlab_terrain.view.page", raising=False)
-  for file in ("scan.obj", "heights.png"):
-    (tmp_path / file).write_bytes(b"")
+  (tmp_path / "scan.obj").write_bytes(b"")
   with pytest.raises(ImportError, match="of the extra 'view' of mjlab-terrain"):
     importlib.import_module("mjlab_terrain.view.page")
-  for cfg in (MeshCfg(source=tmp_path / "scan.obj"), HeightMapCfg(source=tmp_path / "heights.png")):
-    with pytest.raises(ValueError, match="of the extra 'mesh' of mjlab-terrain"):
-      cfg.add_to(mujoco.MjSpec())
+  with pytest.raises(ValueError, match="of the extra 'mesh' of mjlab-terrain"):
+    MeshCfg(source=tmp_path / "scan.obj").add_to(mujoco.MjSpec())

@@ -16,6 +16,7 @@ from mjlab_terrain.colors import as_pixels, color_of, picture_of
 from mjlab_terrain.presets import apply_settings
 from mjlab_terrain.solids import HeightField
 from mjlab_terrain.view.picture import plot
+from PIL import Image
 
 
 @pytest.fixture
@@ -103,10 +104,9 @@ def test_triangles_face_outwards_and_have_the_heights_of_the_ground() -> None:
 
 
 def test_the_picture_of_a_height_field_is_a_png_with_its_colors() -> None:
-  image = pytest.importorskip("PIL.Image")
   heights = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
   field = HeightField(center=np.zeros(3), half=(0.5, 0.5), bottom=-3.0, heights=heights)
-  read = np.asarray(image.open(io.BytesIO(picture_of(field, "height"))))
+  read = np.asarray(Image.open(io.BytesIO(picture_of(field, "height"))))
   pixels = as_pixels(color_of("height", 0, heights))
   # First line at the far end of y, x to the right.
   np.testing.assert_array_equal(read, pixels.transpose(1, 0, 2)[::-1])

@@ -1,4 +1,4 @@
-"""Terrain that adds itself to any MuJoCo model. NumPy and MuJoCo only."""
+"""Terrain that adds itself to any MuJoCo model. NumPy, MuJoCo and Pillow only."""
 
 from mjlab_terrain.checked_fields import drawn, number, scaled
 from mjlab_terrain.grid import TerrainGridCfg

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import colorsys
-import struct
-import zlib
+import io
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from mjlab_terrain.solids import Floats, HeightField
 
@@ -52,19 +52,8 @@ def picture_of(field: HeightField, color: GroundColor) -> bytes:
   rows = [np.linspace(0, n - 1, min(n, _PICTURE)).round().astype(np.int64) for n in field.heights.shape]
   colors = color_of(color, field.kind, field.center[2] + field.heights[np.ix_(*rows)])
   # The first row of a picture is at the far end of y.
-  return _png(as_pixels(colors).transpose(1, 0, 2)[::-1])
-
-
-def _png(pixels: NDArray[np.uint8]) -> bytes:
-  """Return `pixels`, (height, width, 3), as a PNG file.
-
-  MuJoCo cannot write textures without a file as XML, and terrain does not depend on a library for pictures. All other
-  pictures are written with Pillow.
-  """
-  height, width, _ = pixels.shape
-  # Each line starts with the number of its filter: 0, none.
-  lines = np.concatenate((np.zeros((height, 1), np.uint8), pixels.reshape(height, -1)), axis=1).tobytes()
-  header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-  chunks = (b"IHDR", header), (b"IDAT", zlib.compress(lines)), (b"IEND", b"")
-  parts = [struct.pack(">I", len(body)) + k + body + struct.pack(">I", zlib.crc32(k + body)) for k, body in chunks]
-  return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+  pixels = np.ascontiguousarray(as_pixels(colors).transpose(1, 0, 2)[::-1])
+  # A file, because MuJoCo cannot write textures without one as XML.
+  file = io.BytesIO()
+  Image.fromarray(pixels).save(file, "png")
+  return file.getvalue()

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from PIL import Image
 
 from mjlab_terrain.checked_fields import number, scaled
 from mjlab_terrain.solids import Floats
@@ -59,10 +60,6 @@ def source_name(source: object) -> str:
 
 
 def _read_picture(path: Path) -> Floats:
-  try:
-    from PIL import Image
-  except ImportError as error:
-    raise ImportError("pictures need Pillow, of the extra 'mesh' of mjlab-terrain") from error
   with Image.open(path) as image:
     # 16-bit pictures keep their depth; all others become 8-bit grey.
     deep = image.mode.startswith("I") or image.mode == "F"

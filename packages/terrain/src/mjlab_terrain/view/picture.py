@@ -9,6 +9,7 @@ import math
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
 
 from mjlab_terrain.colors import as_pixels, color_of
 from mjlab_terrain.grid import TerrainGridCfg
@@ -122,8 +123,6 @@ def plot(cfg: TerrainGridCfg, size: tuple[int, int], *, names: bool = False) -> 
 
 def _with_names(pixels: Pixels, types: list[str], tiles: list[Tile]) -> Pixels:
   """Return a map with the name of its type on each tile."""
-  from PIL import Image, ImageDraw, ImageFont
-
   image = Image.fromarray(np.ascontiguousarray(pixels))
   draw = ImageDraw.Draw(image)
   edges = np.array(image.size[::-1]) / np.add(tiles[-1].place, 1)
