@@ -121,6 +121,14 @@ def test_other_names_in_a_zip_are_not_unpacked(folder: Path, tmp_path: Path) -> 
     assert not (bundle.folder.parent / "outside.txt").exists()
 
 
+def test_a_missing_bundle_is_not_called_damaged(tmp_path: Path) -> None:
+  with (
+    pytest.raises(DeployError, match=r"^bundle \S*missing: No such file or directory$"),
+    open_bundle(tmp_path / "missing"),
+  ):
+    pass
+
+
 @pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"not a zip"])
 def test_a_damaged_zip_is_one_line(tmp_path: Path, data: bytes) -> None:
   (tmp_path / "x.zip").write_bytes(data)

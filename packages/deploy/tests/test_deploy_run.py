@@ -48,6 +48,7 @@ def test_a_log_as_mcap_has_states_commands_and_the_operators_command(bundle: Bun
     (["--log"], "expected one argument"),
     (["--latency", "3h"], "argument --latency: expected 0 to 1 s, such as 10ms, got '3h'"),
     (["--latency", "10"], "argument --latency: expected 0 to 1 s, such as 10ms, got '10'"),
+    (["--seconds", "-1"], "argument --seconds: expected a number above 0, got '-1'"),
     (["--command", "1;2"], "argument --command: expected numbers such as 0.5,0,0, got '1;2'"),
   ],
 )

@@ -122,7 +122,7 @@ def pack(folder: Path, path: Path) -> None:
 
 
 def _unpack(path: Path, folder: Path) -> None:
-  with reading("not a zip that can be read", Exception), zipfile.ZipFile(path) as archive:
+  with path.open("rb") as opened, reading("not a zip that can be read", Exception), zipfile.ZipFile(opened) as archive:
     for name in MAX_BYTES.keys() & archive.namelist():
       # The zip may state a wrong size. One byte more than allowed lets the reader refuse the file.
       with archive.open(name) as file:

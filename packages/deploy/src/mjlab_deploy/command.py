@@ -1,6 +1,7 @@
 """Command line: `mjlab-deploy verify BUNDLE` and `mjlab-deploy run BUNDLE`."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -37,12 +38,12 @@ def _parser() -> argparse.ArgumentParser:
   run = commands.add_parser("run", help="run a policy in MuJoCo C through the messages of a robot")
   run.add_argument("bundle", help="folder or zip, or a network of another project (.onnx) with --model")
   run.add_argument("--model", metavar="ROBOT.xml", help="MJCF file of the robot of such a network")
-  run.add_argument("--rate", type=float, help="rate of such a network [Hz]; default: that of deploy.yaml, or 50")
+  run.add_argument("--rate", type=_positive, help="rate of such a network [Hz]; default: that of deploy.yaml, or 50")
   run.add_argument(
     "--viewer", action="store_true", help="show it in MuJoCo's viewer; arrow keys and , . or a gamepad give commands"
   )
   run.add_argument(
-    "--seconds", type=float, help="length of the run [s]; default: 10, with the viewer until it is closed"
+    "--seconds", type=_positive, help="length of the run [s]; default: 10, with the viewer until it is closed"
   )
   run.add_argument("--command", type=_numbers, default=[], metavar="X,Y,...", help="command, such as 0.5,0,0")
   run.add_argument("--latency", type=_seconds, default=0.0, metavar="10ms", help="delay of messages, each way")
@@ -72,6 +73,16 @@ def _numbers(text: str) -> list[float]:
     return [float(word) for word in text.split(",")]
   except ValueError as error:
     raise argparse.ArgumentTypeError(f"expected numbers such as 0.5,0,0, got {text!r}") from error
+
+
+def _positive(text: str) -> float:
+  try:
+    value = float(text)
+  except ValueError:
+    value = 0.0
+  if not 0.0 < value < math.inf:
+    raise argparse.ArgumentTypeError(f"expected a number above 0, got {text!r}")
+  return value
 
 
 def _seconds(text: str) -> float:
