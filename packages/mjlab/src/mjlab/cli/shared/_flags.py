@@ -4,8 +4,8 @@ A flag is the path to a value, with hyphens for underscores; keys of dictionarie
 Setting a flag copies the objects along its path, so that functions, shared parts and other values stay the same
 objects. The flag of a term or part that may be `None` takes `None`, which removes it.
 
-tyro alone does not offer this: it rebuilds the whole configuration, has no flag that removes a part, takes a second or
-more for the hundreds of flags of a task, and cannot search its help.
+tyro alone does not offer this: it rebuilds the whole configuration, has no flag that removes a part, cannot search its
+help, prints none for some tasks, and takes up to half a second longer (docs/benchmarks/parsers.md).
 """
 
 import contextlib
