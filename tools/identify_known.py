@@ -23,7 +23,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 from mjlab_actuators import ActuatorCfg, ActuatorSet
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 from mjlab_robots.go1 import go1
 from mjlab_robots.yam import YAM_DEFAULT_JOINT_POS, yam
 from mjlab_sysid import (

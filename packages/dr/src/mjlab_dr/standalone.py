@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 import torch
 from mjlab_core import MjlabError, PositiveCount, check_name, check_value, draw_seed, make_generator
+from mjlab_core.io.tables import table
 from mjlab_core.mujoco.model_fields import followers
-from mjlab_core.tables import table
 from torch import Tensor
 
 from mjlab_dr.apply import RandomizeField, apply_all

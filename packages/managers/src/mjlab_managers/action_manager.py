@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 from mjlab_core import Config, fill_
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab_managers.manager import ManagerBase
 from mjlab_managers.observations.deployment import ActionTargets

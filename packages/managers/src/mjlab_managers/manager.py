@@ -12,7 +12,7 @@ import torch
 from mjlab_core import ConfigError, MjlabError, Stateful, StatefulDict, UnknownNameError, require, unknown
 from mjlab_core.config import lock
 from mjlab_core.errors import as_consequence, is_consequence
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.terms.binding import Term, call_named, call_terms, cfg_problems, described, mask_problem, placed

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 from mjlab_dr import FIELDS, Distribution, RandomizeField, agreement, drawn_values
 from mjlab_envs import mdp
 from mjlab_managers import EventTermCfg

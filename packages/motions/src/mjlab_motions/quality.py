@@ -8,7 +8,7 @@ from typing import Literal
 
 import torch
 from mjlab_core.io.figures import figure
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab_motions.kinematics import Kinematics
 from mjlab_motions.motion import Motion

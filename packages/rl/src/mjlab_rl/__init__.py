@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
+  from mjlab_core.policies import FinitePolicy, Policy
+
   from mjlab_rl.bundles.bundle_policy import BundlePolicy
   from mjlab_rl.bundles.onnx_policy import OnnxPolicy
   from mjlab_rl.config import (
@@ -23,9 +25,7 @@ if TYPE_CHECKING:
     Episodes,
     Evaluation,
     Evaluator,
-    FinitePolicy,
     Interval,
-    Policy,
     Progress,
     ReturnEvaluation,
     Threshold,
@@ -113,8 +113,9 @@ __getattr__, __dir__ = lazy_exports(
     ".reports.console": "Console",
     ".onpolicy.distillation": "MjlabDistillationRunner",
     ".env_protocol": "RlEnv",
+    "mjlab_core.policies": "FinitePolicy Policy",
     ".evaluation": (
-      "Episodes Evaluation Evaluator FinitePolicy Interval Policy Progress ReturnEvaluation Threshold bootstrap "
+      "Episodes Evaluation Evaluator Interval Progress ReturnEvaluation Threshold bootstrap "
       "play_first_episodes summarize wilson"
     ),
     ".runs.manifest": "PolicyRecord RunManifest load_run",

@@ -10,8 +10,9 @@ import msgspec
 import numpy as np
 import torch
 from mjlab_core.errors import ConfigError
+from mjlab_core.io.tables import table
 from mjlab_core.names import check_name
-from mjlab_core.tables import table
+from mjlab_core.policies import Policy
 
 from mjlab_rl.env_protocol import RlEnv
 
@@ -20,42 +21,8 @@ RESAMPLES = 2000
 CONFIDENCE = 0.95
 _THRESHOLD = re.compile(r"(?:(.+):)?([\w/]+)\s*(>=|<=)\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)")
 
-Policy = Callable[[Any], torch.Tensor]
-"""Function from observations by group to actions, (num_envs, num_actions); a recurrent one also has `reset(dones)`."""
 Progress = Callable[[int, int, int], None]
 """Function called after each step with its number, the number of worlds that still play, and that of all worlds."""
-
-
-class FinitePolicy:
-  """Policy that counts actions with NaN or infinity, which an environment replaces by zero.
-
-  Args:
-    policy: The policy.
-    on_first: Called once when the first such action is seen. Each call then waits for the device.
-  """
-
-  def __init__(self, policy: Any, on_first: Callable[[], None] | None = None) -> None:
-    self._policy, self._on_first = policy, on_first
-    self._count: int | torch.Tensor = 0
-
-  @property
-  def num_broken(self) -> int:
-    """Number of actions, one per world and step, that were not finite."""
-    return int(self._count)
-
-  def __call__(self, observations: Mapping[str, Any]) -> torch.Tensor:
-    """Return the actions of the policy, (num_envs, num_actions)."""
-    actions: torch.Tensor = self._policy(observations)
-    self._count = self._count + (~actions.isfinite()).any(-1).sum()
-    if self._on_first is not None and self.num_broken:
-      self._on_first()
-      self._on_first = None
-    return actions
-
-  def reset(self, dones: torch.Tensor | None) -> None:
-    """Reset the policy in these worlds, bool (num_envs,); None: in all."""
-    if (reset := getattr(self._policy, "reset", None)) is not None:
-      reset(dones)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from mjlab_core.constraints import Limits, Positive, PositiveCount, check_fields, require
 from mjlab_core.errors import MjlabError
+from mjlab_core.io.tables import table
 from mjlab_core.names import match_names, match_values_full
-from mjlab_core.tables import table
 
 from mjlab_sysid.data.records import Record
 from mjlab_sysid.data.windows import cut

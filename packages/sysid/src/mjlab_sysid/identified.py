@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from mjlab_core.io.files import AtomicWrite
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 from mjlab_dr import FIELDS, FieldRandomizer, randomize_field
 
 from mjlab_sysid.parameters import Parameter

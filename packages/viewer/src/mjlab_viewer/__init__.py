@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 from mjlab_core.lazy import lazy_exports
 
 if TYPE_CHECKING:
+  from mjlab_core.policies import Policy, RandomPolicy, ZeroPolicy
+
   from mjlab_viewer.browser.address import check_address
   from mjlab_viewer.browser.viewer import BrowserViewer
   from mjlab_viewer.camera import Camera, CameraCfg
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
   from mjlab_viewer.pictures.offscreen import OffscreenRenderer, PictureCfg
   from mjlab_viewer.pictures.training_video import TrainingVideo
   from mjlab_viewer.pictures.video import BackgroundVideo, VideoFile
-  from mjlab_viewer.playback import SPEEDS, CheckpointList, Playback, Policy, RandomPolicy, ZeroPolicy
+  from mjlab_viewer.playback import SPEEDS, CheckpointList, Playback
   from mjlab_viewer.replay import Replay
   from mjlab_viewer.snapshot import Snapshot, SnapshotTaker
 
@@ -60,7 +62,8 @@ __getattr__, __dir__ = lazy_exports(
     ".pictures.offscreen": "OffscreenRenderer PictureCfg",
     ".pictures.training_video": "TrainingVideo",
     ".pictures.video": "BackgroundVideo VideoFile",
-    ".playback": "SPEEDS CheckpointList Playback Policy RandomPolicy ZeroPolicy",
+    ".playback": "SPEEDS CheckpointList Playback",
+    "mjlab_core.policies": "Policy RandomPolicy ZeroPolicy",
     ".replay": "Replay",
     ".snapshot": "Snapshot SnapshotTaker",
   },

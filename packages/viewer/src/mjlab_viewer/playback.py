@@ -9,16 +9,13 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
 
 import torch
+from mjlab_core.policies import Policy
 
 from mjlab_viewer.env import ViewedEnv
 
 _log = logging.getLogger("mjlab")
-
-Policy: TypeAlias = Callable[[Any], torch.Tensor]
-"""Actions for observations. A recurrent policy also has `reset(dones)`, with a bool mask (num_envs,) or None."""
 
 SPEEDS = tuple(2.0**power for power in range(-5, 4))
 """Speeds to choose from, relative to real time."""
@@ -211,28 +208,6 @@ class Playback:
 def one_line(what: str, error: Exception) -> str:
   """Return an error as one line, with the part that failed."""
   return f"{what}: {type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
-
-
-class ZeroPolicy:
-  """Zero actions, (num_envs, num_actions)."""
-
-  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
-    self._actions = torch.zeros(num_envs, num_actions, device=device)
-
-  def __call__(self, observations: object) -> torch.Tensor:
-    del observations
-    return self._actions
-
-
-class RandomPolicy(ZeroPolicy):
-  """Uniform actions in [-1, 1) from a separate generator, (num_envs, num_actions)."""
-
-  def __init__(self, num_envs: int, num_actions: int, device: torch.device) -> None:
-    super().__init__(num_envs, num_actions, device)
-    self._generator = torch.Generator(device)
-
-  def __call__(self, observations: object) -> torch.Tensor:
-    return super().__call__(observations).uniform_(-1.0, 1.0, generator=self._generator)
 
 
 @dataclass(kw_only=True, frozen=True)

@@ -1,1 +1,1 @@
-"""Files: atomic writes, guarded reads and arrays."""
+"""Files and what is written: atomic writes, guarded reads, arrays, figures and tables."""

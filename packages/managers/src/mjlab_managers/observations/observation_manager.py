@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from mjlab_core import ConfigError, MjlabError, check_name, where_
 from mjlab_core.config import write_locked
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab_managers.env import ManagerEnv
 from mjlab_managers.manager import ManagerBase

@@ -2,7 +2,7 @@
 
 import sys
 
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab.cli.shared._command_line import CommandLine, CommonArguments
 from mjlab.registry import task_entries

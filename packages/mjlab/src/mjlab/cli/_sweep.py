@@ -12,7 +12,7 @@ import msgspec
 from mjlab_core import AtomicWrite, UsageError, printable
 from mjlab_core.constraints import NonNegative, PositiveCount
 from mjlab_core.io.files import reading
-from mjlab_core.tables import table
+from mjlab_core.io.tables import table
 
 from mjlab.cli.shared._command_line import CommandLine, TaskArguments, TaskLine
 from mjlab.cli.shared._sweep_space import Range, Space, Sweep, Trial, check, read_space
